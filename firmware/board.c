@@ -4,7 +4,23 @@
 
 #include "flash.h"
 
-void board_begin(struct board *board, uint8_t robot, const struct settings *settings, struct stamps stamps) {
+/* Name of the cause of a reset that is no power-on in air. */
+static const char *cause(uint8_t causes) {
+    return causes & RESET_WATCHDOG    ? PSTR("restarted: watchdog")
+           : causes & RESET_BROWN_OUT ? PSTR("restarted: brown-out")
+           : causes & RESET_PIN       ? PSTR("restarted: reset pin")
+           : causes & RESET_POWER_ON  ? PSTR("restarted: power-on")
+                                      : PSTR("restarted: unknown cause");
+}
+
+/* HEARTBEAT's custom_mode. Simulated measurements have no zero. */
+static uint16_t status(const struct board *board) {
+    const uint16_t all = zero_status(&board->zero);
+    return rules_hil(&board->rules) ? (uint16_t)(all & ~(unsigned)ZERO_IN_QUESTION) : all;
+}
+
+void board_begin(struct board *board, uint8_t robot, const struct settings *settings, struct stamps stamps,
+                 const struct start *start) {
     memset(board, 0, sizeof *board);
     struct parameters parameters;
     parameters_standard(&parameters);
@@ -18,6 +34,10 @@ void board_begin(struct board *board, uint8_t robot, const struct settings *sett
     board->link.gate.is_locked = is_locked;
     if (is_locked)
         rules_say(&board->rules, SAY_CRITICAL, PSTR("settings cannot be read: takes nothing"));
+    zero_begin(&board->zero, start);
+    if (!start->is_power_on)
+        rules_say(&board->rules, SAY_WARNING, cause(start->causes));
+    board->told_status = status(board);
     board->kept = stamps;
     board->to_list = PARAMETERS;
 }
@@ -76,16 +96,18 @@ static void age(struct simulated *simulated, uint64_t now_us) {
 
 /* --- what arrives */
 
-/* Send the texts and the changes of arming and of HIL mode that are due. */
+/* Send the texts and the changes of arming, of HIL mode and of the zero that are due. */
 static void report(struct board *board) {
     for (uint8_t i = 0; i < board->rules.texts; i++)
         send_text(&board->link, &board->rules.text[i]);
     board->rules.texts = 0;
     const bool armed = board->rules.armed, hil = rules_hil(&board->rules);
-    if (armed != board->told_armed || hil != board->told_hil) {
+    const uint16_t now = status(board);
+    if (armed != board->told_armed || hil != board->told_hil || now != board->told_status) {
         board->told_armed = armed;
         board->told_hil = hil;
-        send_heartbeat(&board->link, &board->rules);
+        board->told_status = now;
+        send_heartbeat(&board->link, &board->rules, now);
     }
 }
 
@@ -129,11 +151,12 @@ static void read_parameter(struct board *board, struct event *event) {
 static void set_parameter(struct board *board, const struct event *event, uint64_t now_us) {
     const bool was_hil = rules_hil(&board->rules);
     const int index = parameter_named(event->parameter.name);
+    const float before = index >= 0 ? board->rules.parameters.value[index] : 0.0f;
     enum refusal refusal = NOT_REAL32;
     if (event->parameter.is_real32)
         refusal = rules_change(&board->rules, index, event->parameter.value);
     answer_parameter(board, event, index, refusal);
-    if (refusal == TAKEN)
+    if (refusal == TAKEN && board->rules.parameters.value[index] != before)
         board->memory |= KEEP_SETTINGS;
     if (rules_hil(&board->rules) != was_hil)
         board->simulated = (struct simulated){.motion_us = now_us, .battery_us = now_us};
@@ -157,6 +180,22 @@ static void take_key(struct board *board, const struct event *event) {
     board->memory |= KEEP_SETTINGS | KEEP_STAMPS;
 }
 
+/* Have the zeros confirmed or taken anew, for a person. */
+static enum result calibrate(struct board *board, const struct event *event) {
+    const bool takes = event->calibrate.pressure || event->calibrate.gyro;
+    if (board->rules.armed) {
+        rules_say(&board->rules, SAY_WARNING, PSTR("not calibrated: armed"));
+        return REJECTED;
+    }
+    if (!zero_calibrate(&board->zero, event->calibrate.pressure, event->calibrate.gyro)) {
+        rules_say(&board->rules, SAY_WARNING, PSTR("no depth zero is kept: take it in air"));
+        return REJECTED;
+    }
+    if (!takes)
+        rules_say(&board->rules, SAY_INFO, PSTR("depth zero confirmed"));
+    return ACCEPTED;
+}
+
 static void handle(struct board *board, struct event *event, uint64_t now_us) {
     struct link *link = &board->link;
     switch (event->kind) {
@@ -167,8 +206,16 @@ static void handle(struct board *board, struct event *event, uint64_t now_us) {
         if (!event->arm && board->has_order && board->order.kind == EVENT_ARM)
             board->has_order = false; /* an order to arm that waits is withdrawn */
         const enum result result = rules_arm(&board->rules, event->arm, now_us);
+        if (board->rules.armed)
+            zero_leave_bias(&board->zero);
         report(board);
         send_acknowledge(link, event->from, COMMAND_ARM_DISARM, result);
+        break;
+    }
+    case EVENT_CALIBRATE: {
+        const enum result result = calibrate(board, event);
+        report(board);
+        send_acknowledge(link, event->from, COMMAND_CALIBRATE, result);
         break;
     }
     case EVENT_TIMESYNC:
@@ -214,15 +261,15 @@ uint16_t board_put(struct board *board, const uint8_t *data, uint16_t bytes, uin
 /* True for what may count only after its timestamp is kept, so that it cannot count again after a loss of power. Disarming,
 which cannot do harm twice, does not wait. */
 static bool is_order(const struct event *event) {
-    return (event->kind == EVENT_ARM && event->arm) || event->kind == EVENT_SET_PARAMETER;
+    return (event->kind == EVENT_ARM && event->arm) || event->kind == EVENT_SET_PARAMETER || event->kind == EVENT_CALIBRATE;
 }
 
 /* One order waits at a time, so that overrides behind it are read: the next has to be sent again, as one that was lost. Its
 timestamp is used up. */
 static void refuse_order(struct board *board, const struct event *event) {
     keep_newest(board);
-    if (event->kind == EVENT_ARM)
-        send_acknowledge(&board->link, event->from, COMMAND_ARM_DISARM, REJECTED);
+    if (event->kind != EVENT_SET_PARAMETER)
+        send_acknowledge(&board->link, event->from, event->kind == EVENT_ARM ? COMMAND_ARM_DISARM : COMMAND_CALIBRATE, REJECTED);
 }
 
 bool board_work(struct board *board, uint64_t now_us) {
@@ -297,11 +344,11 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
     }
     send_servo_output(link, (uint32_t)now_us, rules);
     if (is_due(&board->status_due_us, STATUS_US, now_us) && has_battery) {
-        send_status(link, board->battery_v, rules->charge, rules->overrides_refused + board->refused);
+        send_status(link, board->battery_v, rules->charge, rules->overrides_refused + board->refused, has_motion ? reading : NULL);
         send_battery(link, board->battery_v, rules->charge);
     }
     if (is_due(&board->heartbeat_due_us, HEARTBEAT_US, now_us))
-        send_heartbeat(link, rules);
+        send_heartbeat(link, rules, status(board));
     if (board->to_list < PARAMETERS) {
         send_parameter(link, board->to_list, rules->parameters.value[board->to_list]);
         board->to_list++;
@@ -312,11 +359,41 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
         board->memory |= KEEP_STAMPS;
 }
 
+static void say_chip(struct rules *rules, uint8_t chip, uint8_t state) {
+    static const char NAMES[][11] PROGMEM = {"IMU: ", "pressure: "};
+    static const char STATES[][9] PROGMEM = {"live", "absent", "starting", "asleep", "reset", "stuck"};
+    rules_say(rules, state == CHIP_LIVE ? SAY_INFO : SAY_WARNING, NAMES[chip]);
+    text_flash(&rules->text[rules->texts - 1], STATES[state]);
+}
+
+/* Take the zeros of the sensors off a measurement, which they may be taken from. */
+static struct reading zeroed(struct board *board, const struct reading *measured) {
+    struct zero *zero = &board->zero;
+    const enum zero_event event = zero_pressure(zero, measured->excess_hpa);
+    if (event == ZERO_TAKEN)
+        rules_say(&board->rules, SAY_INFO, PSTR("depth zero taken"));
+    if (event == ZERO_QUESTIONED)
+        rules_say(&board->rules, SAY_WARNING, PSTR("depth zero in question: confirm it"));
+    if (zero_rate(zero, measured->yaw_rate_radps) == BIAS_TAKEN || event == ZERO_TAKEN)
+        board->memory |= KEEP_ZEROS;
+    for (uint8_t i = 0; i < CHIPS; i++)
+        if (measured->chip[i] != board->told_chip[i])
+            say_chip(&board->rules, i, board->told_chip[i] = measured->chip[i]);
+    struct reading reading = *measured;
+    reading.excess_hpa = zero_excess_hpa(zero, measured->excess_hpa);
+    reading.yaw_rate_radps -= zero->now.gyro_bias_radps;
+    return reading;
+}
+
 void board_step(struct board *board, uint64_t now_us, const struct reading *reading) {
     const bool measures = reading != NULL, hil = rules_hil(&board->rules);
+    struct reading own;
     if (hil && measures) {
         age(&board->simulated, now_us);
         reading = &board->simulated.reading;
+    } else if (measures) {
+        own = zeroed(board, reading);
+        reading = &own;
     }
     const bool has_motion = !hil || board->simulated.has_motion, has_battery = !hil || board->simulated.has_battery;
     rules_step(&board->rules, now_us);

@@ -12,6 +12,7 @@ board_step every STEP_US, board_weigh before it when it is due; it sends what bo
 #include "link.h"
 #include "messages.h"
 #include "rules.h"
+#include "zero.h"
 
 enum { STEP_US = 5000 };
 #define BURST_US 20000 /* 50 Hz */
@@ -48,7 +49,10 @@ struct board {
     uint8_t memory;     /* memory_* of the settings and stamps that are to be written: see board_to_keep */
     bool has_order;     /* an order waits until its timestamp, or a later one, is kept */
     uint64_t order_stamp, used_stamp; /* of that order; up to which all are to be kept */
+    struct zero zero;
+    uint8_t told_chip[CHIPS];
     bool told_armed, told_hil;
+    uint16_t told_status;
     uint8_t to_list; /* parameters from this one on are still to be told */
     uint64_t burst_due_us, status_due_us, heartbeat_due_us, keep_due_us;
     bool has_weighed;
@@ -59,8 +63,9 @@ struct board {
     struct event order;
 };
 
-/* Power-on of the board of a robot. `settings` NULL: parameters as built, no key. */
-void board_begin(struct board *board, uint8_t robot, const struct settings *settings, struct stamps stamps);
+/* A life of the board of a robot begins. `settings` NULL: parameters as built, no key. */
+void board_begin(struct board *board, uint8_t robot, const struct settings *settings, struct stamps stamps,
+                 const struct start *start);
 
 uint16_t board_put(struct board *board, const uint8_t *data, uint16_t bytes, uint64_t now_us); /* how many found room */
 bool board_work(struct board *board, uint64_t now_us); /* do a small piece; true: call again */
@@ -70,7 +75,7 @@ void board_weigh(struct board *board, uint64_t now_us, float voltage_v);
 void board_step(struct board *board, uint64_t now_us, const struct reading *reading); /* NULL unless it measures */
 
 /* The port asks what to keep, writes it, and says when it is written. */
-enum { KEEP_NOTHING = 0, KEEP_SETTINGS = 1, KEEP_STAMPS = 2 };
+enum { KEEP_NOTHING = 0, KEEP_SETTINGS = 1, KEEP_STAMPS = 2, KEEP_ZEROS = 4 };
 struct settings board_settings(const struct board *board);
 struct stamps board_stamps(const struct board *board);
 void board_kept(struct board *board, uint8_t what, struct stamps stamps);

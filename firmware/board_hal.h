@@ -7,9 +7,11 @@ the sensors' bus. */
 #include <stdint.h>
 
 #include "messages.h"
+#include "zero.h"
 
 enum { HAL_EEPROM_BYTES = 4096 };
 
+struct start hal_start(void); /* how this life began; without what is kept */
 uint64_t hal_now_us(void); /* since power-on; never goes back */
 
 uint16_t hal_read(uint8_t *data, uint16_t room);         /* bytes of the link that have come, at most `room` */
@@ -19,7 +21,7 @@ void hal_heard(void);                                    /* whoever sent what wa
 
 void hal_outputs(const uint16_t pulses_us[CHANNELS]);
 float hal_battery_v(void); /* called every BURST_US */
-void hal_sample(uint64_t now_us, struct reading *reading);
+void hal_sample(uint64_t now_us, float gyro_bias_radps, struct reading *reading); /* the bias is for the heading */
 
 uint8_t hal_eeprom_read(uint16_t address);
 bool hal_eeprom_busy(void);                                /* a byte is being written */

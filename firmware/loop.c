@@ -14,10 +14,12 @@ static void move_outputs(const struct rules *rules) {
 }
 
 void loop_begin(struct loop *loop, uint8_t robot) {
-    struct settings settings;
-    struct stamps stamps;
-    const uint8_t found = store_load(&loop->store, &settings, &stamps);
-    board_begin(&loop->board, robot, (found & KEEP_SETTINGS) || settings.is_lost ? &settings : NULL, stamps);
+    struct memory memory;
+    struct start start = hal_start();
+    store_load(&loop->store, &memory);
+    start.has_zeros = memory.has_zeros;
+    start.zeros = memory.zeros;
+    board_begin(&loop->board, robot, memory.has_settings ? &memory.settings : NULL, memory.stamps, &start);
     loop->step_at_us = hal_now_us();
     move_outputs(&loop->board.rules);
 }
@@ -60,7 +62,7 @@ void loop_once(struct loop *loop) {
     const uint64_t now_us = hal_now_us();
     const bool steps = now_us >= loop->step_at_us, measures = steps && board_measures(&loop->board, now_us);
     if (measures && !loop->has_reading && !rules_hil(&loop->board.rules)) { /* in HIL mode the simulator measures */
-        hal_sample(now_us, &loop->reading);
+        hal_sample(now_us, loop->board.zero.now.gyro_bias_radps, &loop->reading);
         loop->has_reading = true;
     } else if (steps)
         step(loop, now_us, measures ? &loop->reading : NULL);

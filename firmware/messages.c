@@ -9,7 +9,8 @@
 
 enum { PULSE_LOW_US = 500, PULSE_HIGH_US = 2500, ALL_COMPONENTS = 0, ALL_VALUES = 65535 };
 enum { HIL_FIELDS = 0x2E7, MOST_MILLIVOLTS = 60000, WATER_CDEGC = 2000 }; /* HIL_SENSOR_UPDATED_FLAGS of what is read */
-enum { SENSORS = 0x1 | 0x2 | 0x8 | 0x8000 | 0x2000000, BATTERY_SENSOR = 0x2000000 }; /* MAV_SYS_STATUS_SENSOR */
+enum { GYRO_SENSOR = 0x1, FORCE_SENSOR = 0x2, DEPTH_SENSOR = 0x8, MOTORS = 0x8000, BATTERY_SENSOR = 0x2000000,
+       SENSORS = GYRO_SENSOR | FORCE_SENSOR | DEPTH_SENSOR | MOTORS | BATTERY_SENSOR }; /* MAV_SYS_STATUS_SENSOR */
 #define SURFACE_HPA 1013.25f
 #define STANDARD_GRAVITY_MPS2 9.80665f /* defines the mG of SCALED_IMU */
 
@@ -31,12 +32,23 @@ static enum event_kind read_override(const struct frame *frame, struct event *ev
     return EVENT_OVERRIDE;
 }
 
+static float given(float value) { return isnan(value) ? 0.0f : value; } /* in a command NaN is "not given" */
+
+static bool is_flag(float value) { return value == 0.0f || value == 1.0f; }
+
 static enum event_kind read_command(const struct frame *frame, struct event *event) {
     PAYLOAD_OF(mavlink_command_long_t, frame);
-    const bool forced = !isnan(message.param2) && message.param2 != 0.0f; /* in a command NaN is "not given" */
-    if (message.command == COMMAND_ARM_DISARM && (message.param1 == 0.0f || message.param1 == 1.0f) && !forced) {
+    if (message.command == COMMAND_ARM_DISARM && is_flag(message.param1) && given(message.param2) == 0.0f) {
         event->arm = message.param1 == 1.0f;
         return EVENT_ARM;
+    }
+    const float none = given(message.param2) + given(message.param4) + given(message.param5) +
+                       given(message.param6) + given(message.param7);
+    const float gyro = given(message.param1), pressure = given(message.param3);
+    if (message.command == COMMAND_CALIBRATE && none == 0.0f && is_flag(gyro) && is_flag(pressure)) {
+        event->calibrate.gyro = gyro == 1.0f;
+        event->calibrate.pressure = pressure == 1.0f;
+        return EVENT_CALIBRATE;
     }
     event->command = message.command;
     const bool version = message.command == COMMAND_REQUEST_MESSAGE && message.param1 == MAVLINK_MSG_ID_AUTOPILOT_VERSION;
@@ -168,9 +180,10 @@ static uint16_t millivolt(float voltage_v) {
 
 static uint16_t at_most_16_bits(uint32_t count) { return count < ALL_VALUES ? (uint16_t)count : ALL_VALUES; }
 
-void send_heartbeat(struct link *link, const struct rules *rules) {
+void send_heartbeat(struct link *link, const struct rules *rules, uint16_t status) {
     const bool armed = rules->armed, healthy = rules->charge < CHARGE_NO_ARM;
     const mavlink_heartbeat_t message = {
+        .custom_mode = status,
         .type = MAV_TYPE_SUBMARINE,
         .autopilot = MAV_AUTOPILOT_GENERIC,
         .base_mode = (uint8_t)(MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | (armed ? MAV_MODE_FLAG_SAFETY_ARMED : 0) |
@@ -187,7 +200,15 @@ void send_attitude(struct link *link, uint32_t board_ms, const struct reading *r
     SEND(link, ATTITUDE, &message);
 }
 
+static bool has_force(const struct reading *reading) {
+    const float *force = reading->acceleration_mps2;
+    return isfinite(force[0]) && isfinite(force[1]) && isfinite(force[2]) && isfinite(reading->yaw_rate_radps);
+}
+
+/* Nothing without a measurement: its whole numbers have no NaN. */
 void send_imu(struct link *link, uint32_t board_ms, const struct reading *reading) {
+    if (!has_force(reading))
+        return;
     const float unit_mps2 = STANDARD_GRAVITY_MPS2 / 1000.0f;
     const mavlink_scaled_imu_t message = {
         .time_boot_ms = board_ms,
@@ -224,11 +245,20 @@ void send_servo_output(struct link *link, uint32_t board_us, const struct rules 
     SEND(link, SERVO_OUTPUT_RAW, &message);
 }
 
-void send_status(struct link *link, float battery_v, uint8_t charge, uint32_t refused) {
+/* The bits of what is healthy: the battery, and each sensor that measures. `reading` NULL: none does. */
+static uint32_t healthy(uint8_t charge, const struct reading *reading) {
+    uint32_t health = MOTORS | (charge == CHARGE_GOOD ? BATTERY_SENSOR : 0u);
+    if (reading == NULL)
+        return health;
+    return health | (isfinite(reading->yaw_rate_radps) ? GYRO_SENSOR : 0u) |
+           (has_force(reading) ? FORCE_SENSOR : 0u) | (isfinite(reading->excess_hpa) ? DEPTH_SENSOR : 0u);
+}
+
+void send_status(struct link *link, float battery_v, uint8_t charge, uint32_t refused, const struct reading *reading) {
     const mavlink_sys_status_t message = {
         .onboard_control_sensors_present = SENSORS,
         .onboard_control_sensors_enabled = SENSORS,
-        .onboard_control_sensors_health = charge == CHARGE_GOOD ? SENSORS : SENSORS & ~(uint32_t)BATTERY_SENSOR,
+        .onboard_control_sensors_health = healthy(charge, reading),
         .voltage_battery = millivolt(battery_v),
         .current_battery = -1,
         .battery_remaining = -1,

@@ -12,6 +12,7 @@ enum {
     BOARD_COMPONENT = 1,
     COMPUTER_COMPONENT = 191,
     SIMULATOR_COMPONENT = 200, /* MAV_COMP_ID_IMU: measures for a board in HIL mode */
+    COMMAND_CALIBRATE = 241, /* MAV_CMD_PREFLIGHT_CALIBRATION */
     COMMAND_ARM_DISARM = 400,
     COMMAND_REQUEST_MESSAGE = 512
 };
@@ -21,6 +22,7 @@ enum event_kind {
     EVENT_REFUSED, /* for another board, or with a value that no board takes */
     EVENT_OVERRIDE,
     EVENT_ARM,
+    EVENT_CALIBRATE,
     EVENT_TIMESYNC,
     EVENT_UNSUPPORTED,
     EVENT_TELL_VERSION,
@@ -32,13 +34,17 @@ enum event_kind {
     EVENT_SIMULATED_BATTERY
 };
 
-/* One sample of the sensors. */
+enum { IMU, PRESSURE_SENSOR, CHIPS };
+enum chip_state { CHIP_LIVE, CHIP_ABSENT, CHIP_STARTING, CHIP_ASLEEP, CHIP_RESET, CHIP_STUCK };
+
+/* One sample of the sensors; NaN is no measurement. */
 struct reading {
-    float heading_rad, yaw_rate_radps;
+    float heading_rad, yaw_rate_radps; /* the rate from a port is the gyro's, with its bias */
     float acceleration_mps2[3]; /* specific force, body frame: at rest (0, 0, -g) */
-    float excess_hpa;           /* pressure at the robot's centre minus that at the surface */
+    float excess_hpa;           /* pressure at the robot's centre minus that at the surface; from a port minus 1013.25 hPa */
     int16_t temperature_cdegc;
     float battery_v;
+    uint8_t chip[CHIPS]; /* state of each */
 };
 
 struct event {
@@ -47,6 +53,9 @@ struct event {
     union {
         uint16_t pulses_us[CHANNELS];
         bool arm;
+        struct {
+            bool pressure, gyro;
+        } calibrate; /* neither: what is kept is right */
         int64_t sent_ns;
         uint16_t command;
         struct {
@@ -67,12 +76,12 @@ struct event {
 /* `hil`: simulated measurements are taken. */
 struct event read_event(const struct frame *frame, uint8_t system, bool hil);
 
-void send_heartbeat(struct link *link, const struct rules *rules);
+void send_heartbeat(struct link *link, const struct rules *rules, uint16_t status);
 void send_attitude(struct link *link, uint32_t board_ms, const struct reading *reading);
 void send_imu(struct link *link, uint32_t board_ms, const struct reading *reading);
 void send_pressure(struct link *link, uint32_t board_ms, const struct reading *reading);
 void send_servo_output(struct link *link, uint32_t board_us, const struct rules *rules);
-void send_status(struct link *link, float battery_v, uint8_t charge, uint32_t refused);
+void send_status(struct link *link, float battery_v, uint8_t charge, uint32_t refused, const struct reading *reading);
 void send_battery(struct link *link, float battery_v, uint8_t charge);
 void send_parameter(struct link *link, int index, float value);
 void send_parameter_error(struct link *link, struct peer asker, const char name[PARAMETER_NAME], int index, uint8_t code);

@@ -53,12 +53,11 @@ bool is_neutral_pulse(const struct parameters *parameters, uint16_t pulse_us) {
 }
 
 /* True if the outputs that drive a thruster of the vehicle for which the firmware was built are neutral by the present curve and
-by that vehicle's own: a wrong curve must not make a disarmed board push, nor a wrong count have a thruster hold its thrust. */
+by that vehicle's own: a wrong curve must not make a disarmed board push. (A count below the vehicle's, which would have a thruster
+hold its thrust, is out of range.) */
 static bool has_safe_neutral(const float *value) {
     struct parameters built;
     parameters_standard(&built);
-    if (value[THR_COUNT] < built.value[THR_COUNT])
-        return false;
     for (int i = 0; i < value[THR_COUNT]; i++) {
         const float pulse_us = value[THR_NEUTRAL_US] + value[THR1_TRIM_US + i];
         if (!in_dead_zone(value, pulse_us) || !in_dead_zone(built.value, pulse_us))

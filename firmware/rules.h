@@ -13,7 +13,7 @@ Times are microseconds of the board's own clock, since power-on. */
 #include "signing.h"
 #include "text.h"
 
-enum { CHANNELS = 8, IGNORED = 65535, TEXTS = 4 };
+enum { CHANNELS = 8, IGNORED = 65535, TEXTS = 6 };
 enum charge { CHARGE_GOOD, CHARGE_WARN, CHARGE_NO_ARM, CHARGE_NEUTRAL };
 enum result { ACCEPTED = 0, REJECTED = 1, UNSUPPORTED = 3 }; /* MAV_RESULT; rejected: for now */
 

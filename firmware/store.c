@@ -7,11 +7,21 @@
 #include "mavlink.h"
 
 /* A record of settings: count 2, has key 1, key 32, checksum of the table 2, values; the record's checksum in the last 2.
-A record of stamps: count 2, heard 6, sent 6, checksum 2. Numbers are little-endian. */
+A record of stamps: count 2, heard 6, sent 6, checksum 2. One of zeros: count 2, zeros 8, checksum in the last 2. Numbers are
+little-endian. */
 enum { COUNT_AT = 0, HAS_KEY_AT = 2, KEY_AT = 3, TABLE_AT = KEY_AT + KEY_BYTES, VALUES_AT = TABLE_AT + 2 };
-enum { HEARD_AT = 2, SENT_AT = 8, STAMPS_BASE = SETTINGS_SLOT * SETTINGS_SLOTS };
+enum { HEARD_AT = 2, SENT_AT = 8, ZEROS_AT = 2 };
 typedef char settings_fit[VALUES_AT + sizeof(struct parameters) + 2 <= SETTINGS_SLOT ? 1 : -1];
 typedef char store_fits[STORE_BYTES <= (int)HAL_EEPROM_BYTES ? 1 : -1];
+
+static const struct area {
+    uint16_t base, bytes;
+    uint8_t slots;
+} AREA[STORE_AREAS] = {
+    {0, SETTINGS_SLOT, SETTINGS_SLOTS},
+    {SETTINGS_SLOT * SETTINGS_SLOTS, STAMPS_SLOT, STAMPS_SLOTS},
+    {SETTINGS_SLOT * SETTINGS_SLOTS + STAMPS_SLOT * STAMPS_SLOTS, ZEROS_SLOT, ZEROS_SLOTS},
+};
 
 static uint16_t read16(const uint8_t *bytes) { return (uint16_t)(bytes[0] | bytes[1] << 8); }
 
@@ -44,20 +54,24 @@ static bool read_record(uint8_t *record, uint16_t address, uint16_t bytes) {
     return checksum(record, (uint16_t)(bytes - 2)) == read16(record + bytes - 2);
 }
 
-/* The newest whole record among the slots, by its count; false if none is whole. */
-static bool find_newest(struct store *store, uint16_t base, uint16_t bytes, uint8_t slots, uint8_t *newest, uint16_t *count) {
+static uint16_t address_of(uint8_t area, uint8_t slot) { return (uint16_t)(AREA[area].base + slot * AREA[area].bytes); }
+
+/* Read the newest whole record of an area, by its count; false if none is whole. */
+static bool read_newest(struct store *store, uint8_t area) {
     bool found = false;
-    for (uint8_t slot = 0; slot < slots; slot++) {
-        if (!read_record(store->record, (uint16_t)(base + slot * bytes), bytes))
+    for (uint8_t slot = 0; slot < AREA[area].slots; slot++) {
+        if (!read_record(store->record, address_of(area, slot), AREA[area].bytes))
             continue;
         const uint16_t counted = read16(store->record + COUNT_AT);
-        if (!found || (int16_t)(counted - *count) > 0) {
-            *newest = slot;
-            *count = counted;
+        if (!found || (int16_t)(counted - store->count[area]) > 0) {
+            store->slot[area] = slot;
+            store->count[area] = counted;
         }
         found = true;
     }
-    return found && read_record(store->record, (uint16_t)(base + *newest * bytes), bytes);
+    if (found)
+        read_record(store->record, address_of(area, store->slot[area]), AREA[area].bytes);
+    return found;
 }
 
 /* How many places of settings are not as a new or erased memory has them. */
@@ -72,65 +86,72 @@ static uint8_t written_slots(void) {
     return written;
 }
 
-uint8_t store_load(struct store *store, struct settings *settings, struct stamps *stamps) {
-    memset(store, 0, sizeof *store);
-    store->table = table_checksum();
-    memset(stamps, 0, sizeof *stamps);
-    uint8_t found = KEEP_NOTHING;
-    settings->is_lost = false;
-    if (find_newest(store, STAMPS_BASE, STAMPS_SLOT, STAMPS_SLOTS, &store->stamps_slot, &store->stamps_count)) {
-        stamps->heard = read_timestamp(store->record + HEARD_AT);
-        stamps->sent = read_timestamp(store->record + SENT_AT);
-        found |= KEEP_STAMPS;
-    }
-    if (find_newest(store, 0, SETTINGS_SLOT, SETTINGS_SLOTS, &store->settings_slot, &store->settings_count)) {
-        const uint8_t *record = store->record;
-        settings->has_key = record[HAS_KEY_AT] == 1;
-        memcpy(settings->key, record + KEY_AT, KEY_BYTES);
-        if (read16(record + TABLE_AT) == store->table)
-            memcpy(&settings->parameters, record + VALUES_AT, sizeof settings->parameters);
-        else
-            parameters_standard(&settings->parameters);
-        found |= KEEP_SETTINGS;
-    } else { /* the first record is written twice: a torn one alone is that of a board that had no settings */
-        parameters_standard(&settings->parameters);
-        settings->has_key = false;
-        settings->is_lost = written_slots() > 1;
-        store->is_first = true;
-    }
-    return found;
+static void load_settings(struct store *store, struct settings *settings) {
+    const uint8_t *record = store->record;
+    settings->has_key = record[HAS_KEY_AT] == 1;
+    memcpy(settings->key, record + KEY_AT, KEY_BYTES);
+    if (read16(record + TABLE_AT) == store->table)
+        memcpy(&settings->parameters, record + VALUES_AT, sizeof settings->parameters);
 }
 
-static void begin_record(struct store *store, uint16_t address, uint16_t bytes, uint16_t count) {
-    write16(store->record + COUNT_AT, count);
+void store_load(struct store *store, struct memory *memory) {
+    memset(store, 0, sizeof *store);
+    memset(memory, 0, sizeof *memory);
+    store->table = table_checksum();
+    parameters_standard(&memory->settings.parameters);
+    if (read_newest(store, STAMPS_AREA)) {
+        memory->stamps.heard = read_timestamp(store->record + HEARD_AT);
+        memory->stamps.sent = read_timestamp(store->record + SENT_AT);
+    }
+    memory->has_zeros = read_newest(store, ZEROS_AREA);
+    if (memory->has_zeros)
+        memcpy(&memory->zeros, store->record + ZEROS_AT, sizeof memory->zeros);
+    memory->has_settings = read_newest(store, SETTINGS_AREA);
+    if (memory->has_settings)
+        load_settings(store, &memory->settings);
+    else { /* the first record is written twice: a torn one alone is that of a board that had no settings */
+        memory->settings.is_lost = memory->has_settings = written_slots() > 1;
+        store->is_first = true;
+    }
+}
+
+/* Put the record, which is filled but for its count and checksum, into the area's next place, byte by byte from now on. */
+static void begin_record(struct store *store, uint8_t area, uint8_t what) {
+    const uint16_t bytes = AREA[area].bytes;
+    store->writing = what;
+    store->slot[area] = (uint8_t)((store->slot[area] + 1) % AREA[area].slots);
+    write16(store->record + COUNT_AT, ++store->count[area]);
     write16(store->record + bytes - 2, checksum(store->record, (uint16_t)(bytes - 2)));
-    store->address = address;
+    store->address = address_of(area, store->slot[area]);
     store->at = 0;
     store->bytes = bytes;
 }
 
 static void begin_stamps(struct store *store, const struct board *board) {
-    store->writing = KEEP_STAMPS;
     store->stamps = board_stamps(board);
-    store->stamps_slot = (uint8_t)((store->stamps_slot + 1) % STAMPS_SLOTS);
     write_timestamp(store->record + HEARD_AT, store->stamps.heard);
     write_timestamp(store->record + SENT_AT, store->stamps.sent);
-    begin_record(store, (uint16_t)(STAMPS_BASE + store->stamps_slot * STAMPS_SLOT), STAMPS_SLOT, ++store->stamps_count);
+    begin_record(store, STAMPS_AREA, KEEP_STAMPS);
+}
+
+static void begin_zeros(struct store *store, struct board *board) {
+    board_kept(board, KEEP_ZEROS, store->stamps); /* a change from now on is kept by the next write */
+    memset(store->record, 0, ZEROS_SLOT);
+    memcpy(store->record + ZEROS_AT, &board->zero.now, sizeof board->zero.now);
+    begin_record(store, ZEROS_AREA, KEEP_ZEROS);
 }
 
 static void begin_settings(struct store *store, struct board *board) {
     const struct settings settings = board_settings(board);
-    store->writing = KEEP_SETTINGS;
     if (!store->is_first)
-        board_kept(board, KEEP_SETTINGS, store->stamps); /* a change from now on is kept by the next write */
+        board_kept(board, KEEP_SETTINGS, store->stamps);
     store->is_first = false;
-    store->settings_slot = (uint8_t)((store->settings_slot + 1) % SETTINGS_SLOTS);
     memset(store->record, 0, sizeof store->record);
     store->record[HAS_KEY_AT] = settings.has_key;
     memcpy(store->record + KEY_AT, settings.key, KEY_BYTES);
     write16(store->record + TABLE_AT, store->table);
     memcpy(store->record + VALUES_AT, &settings.parameters, sizeof settings.parameters);
-    begin_record(store, (uint16_t)(store->settings_slot * SETTINGS_SLOT), SETTINGS_SLOT, ++store->settings_count);
+    begin_record(store, SETTINGS_AREA, KEEP_SETTINGS);
 }
 
 void store_continue(struct store *store, struct board *board) {
@@ -141,6 +162,8 @@ void store_continue(struct store *store, struct board *board) {
             begin_stamps(store, board);
         else if (board->memory & KEEP_SETTINGS)
             begin_settings(store, board);
+        else if (board->memory & KEEP_ZEROS)
+            begin_zeros(store, board);
         return;
     }
     while (store->at < store->bytes) {

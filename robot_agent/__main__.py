@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from robot_agent.commands import check, compile_kernels, confirm_zero, init, unit
-from robot_agent.host.config import DEFAULT_LINK, merge_config, open_board_link
+from robot_agent.host.config import merge_config, open_board_link
 from robot_agent.host.params import cli as params
 from robot_agent.preflight.identify import cli as identify
 from shoal.config.experiment import load_experiment
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -56,9 +57,7 @@ def run(
         Path | None, typer.Option(metavar="FILE", help="The board's configuration (`robot-agent init`); options go before it.")
     ] = None,
     robot: Annotated[int | None, typer.Option(help="Which robot of the experiment this is.")] = None,
-    link: Annotated[
-        str | None, typer.Option(help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].", show_default=DEFAULT_LINK)
-    ] = None,
+    link: Annotated[str | None, typer.Option(help=LINK_HELP, show_default=DEFAULT_LINK)] = None,
     link_key: LinkKey = None,
     link_insecure: LinkInsecure = False,
     station: Annotated[

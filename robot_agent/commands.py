@@ -10,13 +10,14 @@ from typing import Annotated
 import typer
 
 from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, read_record, state_folder, write_record
-from robot_agent.host.config import DEFAULT_LINK, load_agent_config, merge_config, template
+from robot_agent.host.config import load_agent_config, merge_config, template
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict, exit_code, to_json
 from shoal.bus.endpoint import parse_address
 from shoal.bus.network import refuse_open
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.scene import LARGEST_ROBOT
 from shoal.errors import ConfigError, os_errors_as_config_errors
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName
 from shoal.runtime.output_files import check_output, replace_text
 from shoal.runtime.runtime import start_log
@@ -35,7 +36,7 @@ def init(
         str, typer.Option(help="What is flown: a shipped experiment, or a path, relative to the file.")
     ] = "pool",
     fleet: FleetName = DEFAULT_FLEET,
-    link: Annotated[str, typer.Option(help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")] = DEFAULT_LINK,
+    link: Annotated[str, typer.Option(help=LINK_HELP)] = DEFAULT_LINK,
     link_key: Annotated[str | None, typer.Option(metavar="FILE", help="What signs the link, relative to the file.")] = None,
     keys: Annotated[str | None, typer.Option(metavar="FOLDER", help="The key ring, relative to the file.")] = None,
     insecure: Annotated[bool, typer.Option("--insecure", help="An open network, without keys.")] = False,
@@ -46,8 +47,6 @@ def init(
 
     Example:  robot-agent init --robot 2 --station tls/192.0.2.10:7447 --keys keys
     """
-    from shoal.mavlink.board_port import parse_link
-
     parse_address(station)
     if keys is None:
         refuse_open(station, insecure)
@@ -112,24 +111,32 @@ def compile_kernels(
 
 
 def confirm_zero(
+    config: ConfigFile = DEFAULT_CONFIG,
+    in_air: Annotated[bool, typer.Option("--in-air", help="The robot is in air: the board takes its zero anew.")] = False,
     folder: Annotated[
         Path | None, typer.Option("--state", metavar="FOLDER", help=f"The service's state; default: {SERVICE_FOLDER}.")
     ] = None,
 ) -> None:
-    """Confirm that the thruster board was in air when it was switched on: then its depths are right, and the robot may arm.
+    """Confirm the thruster board's depth zero, after a restart under way: then the robot may arm.
 
-    For a robot that refuses to arm because its board restarted where it was last known to be under water. The agent takes the
-    confirmation up within a second. An agent that is no service keeps no such file: restart it.
+    For a robot that refuses to arm because the zero is in question: its depth as `robot-agent check` shows it is right, or the
+    robot is in air and the board is to take the zero anew (`--in-air`). The service passes it on to the board. Without the
+    service this opens the link of `--config`.
 
     Example:  sudo robot-agent confirm-zero
     """
+    from robot_agent.host.zero_request import ask_program, tell_board
+
     where = folder or state_folder() or SERVICE_FOLDER
     with os_errors_as_config_errors(where / FILE):
-        record = read_record(where)
-        if record is None:
-            raise ConfigError(f"{where / FILE}: holds no depth (an agent that is no service is restarted instead)")
-        write_record(where, replace(record, zero_m=0.0, depth_m=0.0), durable=True)
-    typer.echo("confirmed: the thruster board took its depth zero in air")
+        if not ask_program(where, in_air):
+            reports = tell_board(load_agent_config(config), in_air)
+            record = read_record(where)
+            if record is not None:
+                write_record(where, replace(record, zero_m=0.0, depth_m=0.0), durable=True)
+            elif not reports:
+                raise ConfigError("the board keeps no zero that could be confirmed: restart it in air")
+    typer.echo("the thruster board takes its depth zero anew" if in_air else "the thruster board's depth zero is confirmed")
 
 
 def check(

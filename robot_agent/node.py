@@ -16,15 +16,17 @@ from dataclasses import dataclass, replace
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.control.live_tuning import Prepared
+from robot_agent.host.board_parameters import BoardParameters, wanted_parameters
 from robot_agent.host.board_zero import BoardZero, state_folder
 from robot_agent.host.sd_notify import ServiceNotifier
 from robot_agent.host.step_clock import StepClock
+from robot_agent.host.zero_request import ZeroRequests
 from robot_agent.safety.modes import LIVE
 from robot_agent.step_record import inputs_of, record_command, record_step, station_view, with_reply
 from shoal.bus.bus import Bus, Received
 from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.config.experiment import Experiment
-from shoal.mavlink.agent_link import ACCEPTED, ARM_DISARM
+from shoal.mavlink.agent_link import ACCEPTED, ARM_DISARM, Telemetry
 from shoal.mavlink.board_port import Link
 from shoal.mavlink.signing_key import Signing, agent_end
 from shoal.messages import topics
@@ -84,7 +86,9 @@ class AgentNode:
         self.pace: Iterable[StepTime] = self._wall_pace()
         self._signing = signing
         self.mavlink = agent_end(robot, signing)
-        self._zero = BoardZero(None if self.clock.waits else state_folder())
+        folder = None if self.clock.waits else state_folder()
+        self._zero, self._zero_requests = BoardZero(folder), ZeroRequests(folder)
+        self._parameters = BoardParameters(wanted_parameters(experiment))
         self.poses = bus.inbox(topics.POSE, Pose, robot)
         self._pose: Received[Pose] | None = None  # the newest that counts
         self._two_told = False  # that two programs publish poses
@@ -252,16 +256,27 @@ class AgentNode:
         heartbeat, obstacles = self._station(), self.obstacles.newest(instant.obstacles_up_to_ns)
         heard = {robot: inbox.newest(instant.plans_up_to_ns) for robot, inbox in self.plans.items()}
         plans = {robot: plan for robot, plan in heard.items() if plan is not None}
-        zero_m = self._zero.note(self.mavlink.telemetry)
-        if zero_m is not None:
-            self.mavlink.set_zero(zero_m)
-        telemetry = self.mavlink.telemetry
+        telemetry = self._note_board(now_ns)
         pose = self._trusted_pose()
         record = record_step(self._steps, self._pace.late_steps, self.clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
         messages = {robot: plan.message for robot, plan in plans.items()}
         seen = obstacles.message if obstacles is not None else None
         return record, self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
+
+    def _note_board(self, now_ns: int) -> Telemetry:
+        """Return the board's telemetry, with what else is known of its depth zero and its parameters. In lockstep these are
+        the simulator's, of the same experiment. Pass a person's word about the zero on."""
+        zero_m = self._zero.note(self.mavlink.telemetry)
+        if zero_m is not None:
+            self.mavlink.set_zero(zero_m)
+        if self.clock.waits:
+            return self.mavlink.telemetry
+        request = self._parameters.step(self.mavlink, now_ns * 1e-9)
+        request += self._zero_requests.step(self.mavlink)
+        if request and self.agent.mode not in LIVE:
+            self.link.send(request)
+        return replace(self.mavlink.telemetry, objection=self._parameters.objection)
 
     def _trusted_pose(self) -> Received[Pose] | None:
         """The newest pose. While two programs publish poses by turns it is the last one before: it grows old, and the robot

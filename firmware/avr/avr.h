@@ -17,9 +17,9 @@ void servos_set(const uint16_t pulses_us[CHANNELS]);
 
 void sensors_begin(void);
 float sensors_battery_v(void);
-void sensors_sample(uint64_t now_us, struct reading *reading);
+void sensors_sample(uint64_t now_us, float gyro_bias_radps, struct reading *reading);
 
-/* Two-wire bus: a register of a chip, or a command; false if the chip does not answer within 2 ms. */
+/* Two-wire bus: a register of a chip, or a command, in two tries; false if the chip does not answer, after 1 ms at the latest. */
 void twi_begin(void);
 bool twi_write(uint8_t chip, const uint8_t *data, uint8_t bytes);
 bool twi_read(uint8_t chip, uint8_t first, uint8_t *data, uint8_t bytes);

@@ -7,11 +7,27 @@
 #include "../loop.h"
 #include "avr.h"
 
+/* Not cleared at a start. */
+static uint8_t reset_causes __attribute__((section(".noinit")));
+static uint16_t mark __attribute__((section(".noinit"))), inverse_mark __attribute__((section(".noinit")));
+
 /* A watchdog that has bitten goes on with 15 ms: it is stopped before anything else. */
 void stop_watchdog(void) __attribute__((naked, used, section(".init3")));
 void stop_watchdog(void) {
+    reset_causes = MCUSR;
     MCUSR = 0;
     wdt_disable();
+}
+
+/* RAM outlives every reset but a loss of the supply. So a bootloader that clears MCUSR hides no power-on, and a supply that fails for
+a moment is none. */
+struct start hal_start(void) {
+    enum { MARK = 0x5EA1 };
+    const bool outlived = mark == MARK && inverse_mark == (uint16_t)~MARK;
+    mark = MARK;
+    inverse_mark = (uint16_t)~MARK;
+    return (struct start){.causes = reset_causes, 
+                          .is_power_on = !outlived && (reset_causes == 0 || reset_causes & (RESET_POWER_ON | RESET_BROWN_OUT))};
 }
 
 /* --- clock: timer 5 in half microseconds */
@@ -65,7 +81,9 @@ void hal_outputs(const uint16_t pulses_us[CHANNELS]) { servos_set(pulses_us); }
 
 float hal_battery_v(void) { return sensors_battery_v(); }
 
-void hal_sample(uint64_t now_us, struct reading *reading) { sensors_sample(now_us, reading); }
+void hal_sample(uint64_t now_us, float gyro_bias_radps, struct reading *reading) {
+    sensors_sample(now_us, gyro_bias_radps, reading);
+}
 
 void hal_alive(void) { wdt_reset(); }
 

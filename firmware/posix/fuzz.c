@@ -42,6 +42,7 @@ static const struct message {
     MESSAGE(COMMAND_LONG, .command = {TO_BOARD, .command = COMMAND_ARM_DISARM}),
     MESSAGE(COMMAND_LONG,
             .command = {TO_BOARD, .command = COMMAND_REQUEST_MESSAGE, .param1 = MAVLINK_MSG_ID_AUTOPILOT_VERSION}),
+    MESSAGE(COMMAND_LONG, .command = {TO_BOARD, .command = COMMAND_CALIBRATE, .param3 = 1.0f}),
     MESSAGE(PARAM_SET, .set = {TO_BOARD, .param_type = MAV_PARAM_TYPE_REAL32}),
     MESSAGE(PARAM_SET, .set = {TO_BOARD, .param_type = MAV_PARAM_TYPE_REAL32, .param_id = "HIL_MODE", .param_value = 1.0f}),
     MESSAGE(PARAM_SET, .set = {TO_BOARD, .param_type = MAV_PARAM_TYPE_REAL32, .param_id = "HIL_OUTPUTS", .param_value = 1.0f}),
@@ -59,7 +60,7 @@ static struct board board;
 static uint64_t now_us;
 static uint8_t sequence, pieces; /* number of the next frame; calls of board_work after a record, 0: all there are */
 
-static void keep(void) { board_kept(&board, KEEP_SETTINGS | KEEP_STAMPS, board_stamps(&board)); }
+static void keep(void) { board_kept(&board, KEEP_SETTINGS | KEEP_STAMPS | KEEP_ZEROS, board_stamps(&board)); }
 
 /* Do all work, or as many pieces as the input says; its lowest bits hold up the memory and the output. */
 static void work(void) {
@@ -167,6 +168,8 @@ static void step(uint8_t how) {
     struct reading reading = {.battery_v = BATTERY_V[how >> 3 & 7]};
     memcpy(&reading.heading_rad, &now_us, sizeof reading.heading_rad);
     memset(&reading.yaw_rate_radps, how, sizeof reading.yaw_rate_radps);
+    reading.excess_hpa = how & 0x20 ? NAN : (float)how;
+    reading.chip[how & 1] = (uint8_t)((how >> 1 & 7) % (CHIP_STUCK + 1));
     now_us += LATER_US[how & 7];
     if (board_weighs(&board, now_us))
         board_weigh(&board, now_us, reading.battery_v);
@@ -175,21 +178,22 @@ static void step(uint8_t how) {
     work();
 }
 
-/* Power-on: bit 0 a key, bit 1 in HIL mode, bit 2 with parameters that the memory has damaged. */
+/* Bit 0 a key, bit 1 in HIL mode, bit 2 with parameters that the memory has damaged, bit 3 a restart. */
 static void begin(uint8_t how) {
-    static struct board begun[8];
+    static struct board begun[16];
     static bool is_made;
-    for (uint8_t i = 0; i < 8 && !is_made; i++) {
+    for (uint8_t i = 0; i < 16 && !is_made; i++) {
         struct settings settings = {.has_key = i & 1, .key = "the key that the board begins w"};
         parameters_standard(&settings.parameters);
         if (i & 4)
             settings.parameters.value[SLEW_US_S] = NAN;
-        board_begin(&begun[i], 1, &settings, (struct stamps){0, 0});
+        const struct start start = {i & 8 ? RESET_WATCHDOG : RESET_POWER_ON, !(i & 8), i & 1, {0.0f, 0.01f}};
+        board_begin(&begun[i], 1, &settings, (struct stamps){0, 0}, &start);
         if (i & 2)
             rules_change(&begun[i].rules, HIL_MODE, 1.0f);
     }
     is_made = true;
-    board = begun[how & 7];
+    board = begun[how & 15];
     now_us = 0;
     sequence = pieces = 0;
 }

@@ -7,7 +7,7 @@
 
 static void finish(struct board *board, uint64_t now_us) {
     while (board_work(board, now_us) || board->memory) /* a memory that writes at once */
-        board_kept(board, KEEP_SETTINGS | KEEP_STAMPS, board_stamps(board));
+        board_kept(board, KEEP_SETTINGS | KEEP_STAMPS | KEEP_ZEROS, board_stamps(board));
 }
 
 /* --- a memory whose power can fail while a byte is written */
@@ -23,7 +23,12 @@ void library_cut(uint32_t write, uint8_t value) {
     torn = value;
 }
 
-bool hal_eeprom_busy(void) { return false; }
+static bool is_busy;
+
+/* A byte is being written, or no longer. */
+void library_busy(bool busy) { is_busy = busy; }
+
+bool hal_eeprom_busy(void) { return is_busy; }
 
 uint8_t hal_eeprom_read(uint16_t address) { return eeprom[address]; }
 
@@ -38,10 +43,10 @@ uint32_t library_store_bytes(void) { return sizeof(struct store); }
 
 /* Power-on with what the memory holds. */
 void library_boot(struct board *board, struct store *store, uint8_t robot) {
-    struct settings settings;
-    struct stamps stamps;
-    const uint8_t found = store_load(store, &settings, &stamps);
-    board_begin(board, robot, (found & KEEP_SETTINGS) || settings.is_lost ? &settings : NULL, stamps);
+    struct memory memory;
+    store_load(store, &memory);
+    const struct start start = {RESET_POWER_ON, true, memory.has_zeros, memory.zeros};
+    board_begin(board, robot, memory.has_settings ? &memory.settings : NULL, memory.stamps, &start);
 }
 
 void library_put(struct board *board, const uint8_t *data, uint16_t bytes, uint64_t now_us) {
@@ -64,7 +69,20 @@ void library_begin(struct board *board, uint8_t robot, const uint8_t *key, uint6
     parameters_standard(&settings.parameters);
     if (key != NULL)
         memcpy(settings.key, key, KEY_BYTES);
-    board_begin(board, robot, &settings, (struct stamps){heard, sent});
+    const struct start start = {.causes = RESET_POWER_ON, .is_power_on = true};
+    board_begin(board, robot, &settings, (struct stamps){heard, sent}, &start);
+    for (uint8_t i = 0; i < STILL_SAMPLES; i++) { /* it has lain in air since */
+        zero_pressure(&board->zero, 0.0f);
+        zero_rate(&board->zero, 0.0f);
+    }
+    board->told_status = zero_status(&board->zero);
+}
+
+/* Have this life of the board begin so instead. */
+void library_start(struct board *board, uint8_t causes, bool is_power_on, bool has_zeros, float surface_hpa, float bias_radps) {
+    const struct start start = {causes, is_power_on, has_zeros, {surface_hpa, bias_radps}};
+    const struct settings settings = board_settings(board);
+    board_begin(board, board->link.me.system, &settings, board->kept, &start);
 }
 
 /* Returns true if a frame was taken: intact, and on a signed link well signed. */

@@ -51,6 +51,8 @@ static uint64_t monotonic_us(void) {
 
 static uint64_t power_on_us;
 
+struct start hal_start(void) { return (struct start){.causes = RESET_POWER_ON, .is_power_on = true}; }
+
 uint64_t hal_now_us(void) { return monotonic_us() - power_on_us; }
 
 void hal_alive(void) {}
@@ -129,8 +131,9 @@ void hal_outputs(const uint16_t pulses_us[CHANNELS]) { (void)pulses_us; }
 
 float hal_battery_v(void) { return REST_V; }
 
-void hal_sample(uint64_t now_us, struct reading *reading) {
+void hal_sample(uint64_t now_us, float gyro_bias_radps, struct reading *reading) {
     (void)now_us;
+    (void)gyro_bias_radps;
     *reading = (struct reading){.acceleration_mps2 = {0.0f, 0.0f, -9.81f}, .temperature_cdegc = 2000};
 }
 

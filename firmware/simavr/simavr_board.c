@@ -1,29 +1,48 @@
 /* The Arduino Mega's firmware in simavr, as a library for tests: bytes at UART 0, edges at the servo pins, the sensors' chips,
 the EEPROM, and counts of cycles. Time is the processor's: 16 cycles are 1 us. */
 #include <simavr/avr_adc.h>
-#include <simavr/avr_eeprom.h>
 #include <simavr/avr_extint.h>
 #include <simavr/avr_ioport.h>
 #include <simavr/avr_timer.h>
-#include <simavr/avr_twi.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
+#include <simavr/sim_hex.h>
+#include <simavr/sim_io.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum { CHANNELS = 8, RING = 1 << 16, EDGES = 1 << 16, PAINT = 0xA5, MPU = 0x68, MS = 0x76, TWCR = 0xBC };
+enum { CHANNELS = 8, RING = 1 << 16, EDGES = 1 << 16, PAINT = 0xA5, MPU = 0x68, MS = 0x76, EEPROM_BYTES = 4096, RAM_BEGIN = 0x200 };
+enum { PIND_ = 0x29, DDRD_ = 0x2A, EECR_ = 0x3F, EEDR_ = 0x40, EEARL_ = 0x41, MCUSR_ = 0x54, TWSR_ = 0xB9, TWDR_ = 0xBB, TWCR_ = 0xBC };
+enum { EERE_ = 1, EEPE_ = 2, EEMPE_ = 4, TWEN_ = 4, TWSTO_ = 16, TWSTA_ = 32, TWEA_ = 64, TWINT_ = 128, SCL_ = 1, SDA_ = 2 };
+enum { EEPROM_CYCLES = 3400 * 16, ENABLE_CYCLES = 6, EDGE_CYCLES = 40, BYTE_CYCLES = 360 }; /* of the bus at 400 kHz */
+enum { CONVERSION_CYCLES = 9040 * 16, PROM_CYCLES = 2800 * 16 };
 
 struct edge {
     uint64_t cycle;
     uint32_t channel, level;
 };
 
+/* What can be wrong with a chip. */
+enum fault { ABSENT, FROZEN, WRONG, LATE, FAULTS };
+
 struct chip {
-    uint8_t address, selected, first, at; /* `first` byte after the address: register or command */
-    uint8_t has_first, is_asleep, is_absent; /* asleep as an MPU-6050 is after a loss of its supply: it answers zeros */
-    avr_irq_t *irq;
-    struct simulation *simulation;
+    uint8_t address, at, first, has_first; /* `first` byte after the address: register or command */
+    uint8_t fault[FAULTS];
+    uint8_t registers[128]; /* of the MPU-6050 */
+    uint8_t converted;      /* command of the conversion whose result is there, or will be */
+    uint8_t sent;           /* that result was read, or there was none */
+    uint64_t ready;         /* cycle from which it is */
+    uint32_t samples;       /* how often it was read: noise */
+};
+
+/* The two-wire bus, with the processor as its only master. */
+struct bus {
+    struct chip *selected;
+    uint8_t is_started, has_address, reads, status;
+    uint8_t held;   /* clocks for which a chip still holds SDA */
+    uint8_t cut_in; /* data bytes after which a chip stops in the middle of one, as after a reset of the processor; 0: never */
 };
 
 struct pin {
@@ -33,70 +52,236 @@ struct pin {
 
 struct simulation {
     avr_t *avr;
+    avr_io_t io;
     uint64_t byte_cycles, next_byte;
     uint32_t in_head, in_tail, out_count, edge_count;
     uint8_t in[RING], out[RING];
     struct edge edges[EDGES];
     struct pin pins[CHANNELS];
     struct chip chips[2];
+    struct bus bus;
+    uint8_t eeprom[EEPROM_BYTES], ee_value;
+    uint16_t ee_address;
+    uint64_t ee_enabled, ee_until; /* cycles up to which a write may begin, and one goes on */
+    uint32_t ee_writes, ee_errors; /* that were begun; accesses while one went on */
     int16_t imu[7];         /* acceleration, temperature, gyro as the MPU-6050 has them */
     uint32_t pressure, temperature; /* raw, of the MS5837 */
-    uint8_t converted;
     uint32_t loop_address, idle_address; /* of loop_once and hal_idle, in bytes */
     uint64_t loop_since, loop_worst, loop_cycles;
     uint16_t paint_from;
     uint8_t hung, kept[2];
 };
 
+/* --- the sensors' chips */
+
 static const uint16_t PROM[7] = {0x2000, 34982, 36352, 20328, 22354, 26646, 26146}; /* the data sheet's example */
 
-static uint8_t answer(struct chip *chip) {
-    struct simulation *s = chip->simulation;
-    const uint8_t at = chip->at++;
-    if (chip->address == MPU) {
-        if (chip->first == 0x75)
-            return MPU;
-        if (chip->is_asleep)
-            return 0;
-        const uint16_t word = (uint16_t)s->imu[(at / 2) % 7];
-        return at % 2 ? word & 0xFF : word >> 8;
-    }
-    if (chip->first >= 0xA0) {
-        const uint16_t word = PROM[(chip->first - 0xA0) / 2 % 7];
-        return at % 2 ? word & 0xFF : word >> 8;
-    }
-    const uint32_t result = s->converted == 0x58 ? s->temperature : s->pressure;
-    return result >> (16 - 8 * at);
+static void power_chip(struct chip *chip, uint8_t address) {
+    chip->address = address;
+    memset(chip->registers, 0, sizeof chip->registers);
+    chip->registers[0x6B] = 0x40; /* sleeps */
+    chip->converted = 0;
+    chip->sent = 1;
 }
 
-static void on_twi(struct avr_irq_t *irq, uint32_t value, void *parameter) {
-    struct chip *chip = parameter;
-    avr_twi_msg_irq_t in = {.u.v = value};
-    if (!(in.u.twi.msg & TWI_COND_STOP)) /* simavr 1.6 leaves TWINT set until the byte is through, which takes 9 us there */
-        chip->simulation->avr->data[TWCR] &= 0x7F;
-    if (in.u.twi.msg & TWI_COND_STOP)
-        chip->selected = 0;
-    if (in.u.twi.msg & TWI_COND_START) {
-        chip->selected = in.u.twi.addr >> 1 == chip->address && !chip->is_absent ? in.u.twi.addr : 0;
-        chip->has_first = chip->at = 0;
-        if (chip->selected)
-            avr_raise_irq(chip->irq + TWI_IRQ_INPUT, avr_twi_irq_msg(TWI_COND_ACK, chip->selected, 1));
+static uint8_t imu_answer(struct simulation *s, struct chip *chip, uint8_t reg, uint8_t at) {
+    if (reg == 0x75)
+        return chip->fault[WRONG] ? 0x70 : MPU;
+    if (reg < 0x3B || reg > 0x48)
+        return chip->registers[reg & 127];
+    if (chip->registers[0x6B] & 0x40)
+        return 0;
+    const uint8_t which = (uint8_t)((reg - 0x3B) / 2);
+    int word = s->imu[which];
+    if (which >= 4 && !(chip->registers[0x1B] & 0x18))
+        word *= 2; /* the range is half of what it should be */
+    if (which < 3 && !chip->fault[FROZEN])
+        word += (int)(chip->samples % 3) - 1; /* noise */
+    chip->samples += at == 0;
+    return (uint8_t)(reg % 2 ? word >> 8 : word); /* 0x3B is the first high byte */
+}
+
+static uint8_t pressure_answer(struct simulation *s, struct chip *chip, uint8_t at) {
+    if (chip->first >= 0xA0) {
+        const uint16_t word = (uint16_t)(PROM[(chip->first - 0xA0) / 2 % 7] ^ (chip->fault[WRONG] ? 0x10 : 0));
+        return at % 2 ? word & 0xFF : word >> 8;
     }
-    if (!chip->selected)
+    if (at == 0 && s->avr->cycle < chip->ready)
+        chip->sent = 1; /* read too early: there is no result */
+    uint32_t result = chip->converted == 0x58 ? s->temperature : s->pressure;
+    if (!chip->fault[FROZEN])
+        result ^= chip->samples & 1; /* noise */
+    if (chip->sent || chip->converted == 0)
+        result = 0;
+    if (at == 2) {
+        chip->sent = 1;
+        chip->samples++;
+    }
+    return (uint8_t)(result >> (16 - 8 * (at > 2 ? 2 : at)));
+}
+
+static uint8_t answer(struct simulation *s, struct chip *chip) {
+    const uint8_t at = chip->at++;
+    return chip->address == MPU ? imu_answer(s, chip, (uint8_t)(chip->first + at), at) : pressure_answer(s, chip, at);
+}
+
+/* A byte behind the address; true if it is acknowledged. */
+static int take(struct simulation *s, struct chip *chip, uint8_t byte) {
+    if (chip->has_first) {
+        if (chip->address == MPU)
+            chip->registers[chip->first++ & 127] = byte;
+        return 1;
+    }
+    chip->first = byte;
+    chip->has_first = 1;
+    if (chip->address == MS && byte == 0x1E) {
+        chip->converted = 0;
+        chip->sent = 1;
+    } else if (chip->address == MS && (byte & 0xE0) == 0x40) {
+        chip->converted = byte;
+        chip->sent = 0;
+        chip->ready = s->avr->cycle + CONVERSION_CYCLES * (chip->fault[LATE] ? 4u : 1u);
+    }
+    return 1;
+}
+
+/* --- the two-wire bus: simavr's own takes 9 us for a byte, and no chip can hold it */
+
+static avr_cycle_count_t end_of_bus_step(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    struct simulation *s = parameter;
+    (void)when;
+    avr->data[TWSR_] = (uint8_t)((avr->data[TWSR_] & 3) | s->bus.status);
+    avr->data[TWCR_] |= TWINT_;
+    return 0;
+}
+
+static avr_cycle_count_t end_of_stop(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    (void)when;
+    (void)parameter;
+    avr->data[TWCR_] &= (uint8_t)~TWSTO_;
+    return 0;
+}
+
+static void end_later(struct simulation *s, uint8_t status, uint32_t cycles) {
+    s->bus.status = status;
+    avr_cycle_timer_register(s->avr, cycles, end_of_bus_step, s);
+}
+
+static uint8_t address_step(struct simulation *s) {
+    struct bus *bus = &s->bus;
+    const uint8_t byte = s->avr->data[TWDR_];
+    bus->has_address = 1;
+    bus->reads = byte & 1;
+    bus->selected = NULL;
+    for (uint32_t i = 0; i < 2; i++)
+        if (s->chips[i].address == byte >> 1 && !s->chips[i].fault[ABSENT])
+            bus->selected = &s->chips[i];
+    if (bus->selected == NULL)
+        return bus->reads ? 0x48 : 0x20;
+    bus->selected->at = 0;
+    if (!bus->reads)
+        bus->selected->has_first = 0;
+    return bus->reads ? 0x40 : 0x18;
+}
+
+static uint8_t data_step(struct simulation *s, uint8_t control) {
+    struct bus *bus = &s->bus;
+    if (bus->reads) {
+        s->avr->data[TWDR_] = bus->selected == NULL ? 0xFF : answer(s, bus->selected);
+        return control & TWEA_ ? 0x50 : 0x58;
+    }
+    return bus->selected != NULL && take(s, bus->selected, s->avr->data[TWDR_]) ? 0x28 : 0x30;
+}
+
+static void show_lines(struct simulation *s) {
+    const uint8_t low = s->avr->data[DDRD_], high = (uint8_t)((low & SCL_ ? 0 : SCL_) | (low & SDA_ || s->bus.held ? 0 : SDA_));
+    s->avr->data[PIND_] = (uint8_t)((s->avr->data[PIND_] & ~(SCL_ | SDA_)) | high);
+}
+
+static void on_twcr(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter) {
+    struct simulation *s = parameter;
+    struct bus *bus = &s->bus;
+    const uint8_t before = avr->data[address];
+    avr->data[address] = (uint8_t)((value & 0x7F) | (value & TWINT_ ? 0 : before & TWINT_));
+    if (!(value & TWEN_)) {
+        avr_cycle_timer_cancel(avr, end_of_bus_step, s);
+        bus->is_started = 0;
         return;
-    if (in.u.twi.msg & TWI_COND_WRITE) {
-        avr_raise_irq(chip->irq + TWI_IRQ_INPUT, avr_twi_irq_msg(TWI_COND_ACK, chip->selected, 1));
-        if (!chip->has_first) {
-            chip->first = in.u.twi.data;
-            chip->has_first = 1;
-            if (chip->address == MS && (chip->first == 0x48 || chip->first == 0x58))
-                chip->simulation->converted = chip->first;
-        } else if (chip->address == MPU && chip->first == 0x6B)
-            chip->is_asleep = 0;
     }
-    if (in.u.twi.msg & TWI_COND_READ)
-        avr_raise_irq(chip->irq + TWI_IRQ_INPUT, avr_twi_irq_msg(TWI_COND_READ, chip->selected, answer(chip)));
-    (void)irq;
+    if (!(value & TWINT_))
+        return;
+    if (value & TWSTO_) {
+        bus->is_started = 0;
+        bus->selected = NULL;
+        if (bus->held == 0)
+            avr_cycle_timer_register(avr, EDGE_CYCLES, end_of_stop, s);
+    } else if (bus->held > 0)
+        return; /* nothing ends */
+    else if (value & TWSTA_) {
+        end_later(s, bus->is_started ? 0x10 : 0x08, EDGE_CYCLES);
+        bus->is_started = 1;
+        bus->has_address = 0;
+    } else if (bus->is_started && !bus->has_address)
+        end_later(s, address_step(s), BYTE_CYCLES);
+    else if (bus->is_started) {
+        if (bus->cut_in > 0 && bus->reads && --bus->cut_in == 0) {
+            bus->held = 5; /* in the middle of a byte whose next bits are 0 */
+            show_lines(s);
+        } else
+            end_later(s, data_step(s, value), BYTE_CYCLES);
+    }
+}
+
+/* The program drives the bus by hand: a chip that holds SDA sees the clocks. */
+static void on_ddrd(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter) {
+    struct simulation *s = parameter;
+    if ((value & SCL_) && !(avr->data[address] & SCL_) && s->bus.held > 0)
+        s->bus.held--;
+    avr->data[address] = value;
+    show_lines(s);
+}
+
+/* --- the EEPROM: simavr's own writes at once */
+
+static avr_cycle_count_t end_of_write(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    struct simulation *s = parameter;
+    (void)when;
+    s->eeprom[s->ee_address] = s->ee_value;
+    s->ee_until = 0;
+    avr->data[EECR_] &= (uint8_t)~EEPE_;
+    return 0;
+}
+
+static void on_eecr(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter) {
+    struct simulation *s = parameter;
+    const uint16_t at = (uint16_t)((avr->data[EEARL_] | avr->data[EEARL_ + 1] << 8) % EEPROM_BYTES);
+    if (value & (EERE_ | EEPE_) && s->ee_until > 0 && !(avr->data[address] & value & EEPE_ && !(value & EERE_)))
+        s->ee_errors++;
+    else if (value & EERE_)
+        avr->data[EEDR_] = s->eeprom[at];
+    else if (value & EEPE_ && s->ee_until == 0 && avr->cycle <= s->ee_enabled) {
+        s->ee_address = at;
+        s->ee_value = avr->data[EEDR_];
+        s->ee_writes++;
+        s->ee_until = avr->cycle + EEPROM_CYCLES;
+        avr_cycle_timer_register(avr, EEPROM_CYCLES, end_of_write, s);
+    }
+    if (value & EEMPE_)
+        s->ee_enabled = avr->cycle + ENABLE_CYCLES;
+    avr->data[address] = (uint8_t)((value & ~(EERE_ | EEPE_ | EEMPE_)) | (s->ee_until > 0 ? EEPE_ : 0));
+}
+
+/* A reset of the processor has cleared its registers and timers. The bus floats high. */
+static void on_reset(avr_io_t *io) {
+    struct simulation *s = (struct simulation *)((char *)io - offsetof(struct simulation, io));
+    s->bus.is_started = 0;
+    s->loop_since = 0;
+    if (s->ee_until > 0) { /* a write goes on through a reset */
+        s->ee_until = s->avr->cycle + EEPROM_CYCLES;
+        avr_cycle_timer_register(s->avr, EEPROM_CYCLES, end_of_write, s);
+        s->avr->data[EECR_] = EEPE_;
+    }
+    show_lines(s);
 }
 
 static void on_byte(struct avr_irq_t *irq, uint32_t value, void *parameter) {
@@ -122,7 +307,6 @@ static void no_sleep(avr_t *avr, avr_cycle_count_t cycles) {
 static void attach(struct simulation *s) {
     static const char PORTS[CHANNELS] = {'E', 'E', 'E', 'H', 'H', 'H', 'B', 'B'};
     static const uint8_t PINS[CHANNELS] = {3, 4, 5, 3, 4, 5, 5, 6};
-    static const char *names[2] = {"8>chip.in", "32<chip.out"};
     avr_t *avr = s->avr;
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_GET_FLAGS('0'), &flags);
@@ -136,15 +320,17 @@ static void attach(struct simulation *s) {
         s->pins[i] = (struct pin){s, i};
         avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(PORTS[i]), PINS[i]), on_pin, &s->pins[i]);
     }
-    for (uint32_t i = 0; i < 2; i++) {
-        struct chip *chip = &s->chips[i];
-        chip->address = i ? MS : MPU;
-        chip->simulation = s;
-        chip->irq = avr_alloc_irq(&avr->irq_pool, 0, 2, names);
-        avr_irq_register_notify(chip->irq + TWI_IRQ_OUTPUT, on_twi, chip);
-        avr_connect_irq(chip->irq + TWI_IRQ_INPUT, avr_io_getirq(avr, AVR_IOCTL_TWI_GETIRQ(0), TWI_IRQ_INPUT));
-        avr_connect_irq(avr_io_getirq(avr, AVR_IOCTL_TWI_GETIRQ(0), TWI_IRQ_OUTPUT), chip->irq + TWI_IRQ_OUTPUT);
-    }
+    power_chip(&s->chips[0], MPU);
+    power_chip(&s->chips[1], MS);
+    s->avr->io[AVR_DATA_TO_IO(TWCR_)].w.c = on_twcr; /* in the place of simavr's own */
+    s->avr->io[AVR_DATA_TO_IO(TWCR_)].w.param = s;
+    s->avr->io[AVR_DATA_TO_IO(EECR_)].w.c = on_eecr;
+    s->avr->io[AVR_DATA_TO_IO(EECR_)].w.param = s;
+    s->avr->io[AVR_DATA_TO_IO(DDRD_)].w.c = on_ddrd;
+    s->avr->io[AVR_DATA_TO_IO(DDRD_)].w.param = s;
+    s->io = (avr_io_t){.kind = "board", .reset = on_reset};
+    avr_register_io(avr, &s->io);
+    show_lines(s);
 }
 
 /* Voltage at A0, mV. */
@@ -175,7 +361,7 @@ struct simulation *simulation_open(const char *elf, uint32_t baud, uint32_t loop
     s->paint_from = paint_from;
     memset(s->avr->data + paint_from, PAINT, s->avr->ramend + 1u - paint_from);
     s->imu[2] = 8192; /* 1 g */
-    s->pressure = 4958179;
+    s->pressure = 4510376; /* 1013.2 hPa */
     s->temperature = 6815414;
     attach(s);
     simulation_battery(s, 2460);
@@ -183,9 +369,21 @@ struct simulation *simulation_open(const char *elf, uint32_t baud, uint32_t loop
 }
 
 /* Chip 0 is the IMU, 1 the pressure sensor. */
-void simulation_chip(struct simulation *s, uint32_t chip, int is_asleep, int is_absent) {
-    s->chips[chip].is_asleep = (uint8_t)is_asleep;
-    s->chips[chip].is_absent = (uint8_t)is_absent;
+void simulation_fault(struct simulation *s, uint32_t chip, uint32_t fault, int is_on) { s->chips[chip].fault[fault] = (uint8_t)is_on; }
+
+/* A chip's supply fails for a moment. */
+void simulation_power_chip(struct simulation *s, uint32_t chip) { power_chip(&s->chips[chip], s->chips[chip].address); }
+
+/* A register of the IMU changes by itself. */
+void simulation_glitch(struct simulation *s, uint8_t address, uint8_t value) { s->chips[0].registers[address & 127] = value; }
+
+/* A chip stops in the middle of a byte of the read that comes, and holds the bus. */
+void simulation_hold_bus(struct simulation *s, uint8_t bytes) { s->bus.cut_in = bytes; }
+
+/* What the sensors measure, in their own numbers. */
+void simulation_measure(struct simulation *s, const int16_t imu[7], uint32_t pressure) {
+    memcpy(s->imu, imu, sizeof s->imu);
+    s->pressure = pressure;
 }
 
 void simulation_close(struct simulation *s) {
@@ -275,15 +473,45 @@ uint32_t simulation_stack(const struct simulation *s) {
 }
 
 void simulation_eeprom(struct simulation *s, uint8_t *bytes, int write) {
-    avr_eeprom_desc_t all = {.ee = bytes, .offset = 0, .size = 4096};
-    avr_ioctl(s->avr, write ? AVR_IOCTL_EEPROM_SET : AVR_IOCTL_EEPROM_GET, &all);
+    memcpy(write ? s->eeprom : bytes, write ? bytes : s->eeprom, EEPROM_BYTES);
 }
 
-/* The supply fails for a moment: all but the EEPROM begins anew. */
-void simulation_reset(struct simulation *s) {
-    avr_reset(s->avr);
-    s->loop_since = 0;
+/* Bytes that were begun to be written; accesses while one was. */
+void simulation_eeprom_counts(const struct simulation *s, uint32_t counts[2]) {
+    counts[0] = s->ee_writes;
+    counts[1] = s->ee_errors;
 }
+
+/* A reset, with causes as MCUSR has them. With `lost` nothing but the EEPROM outlives it, and a byte of it that is being written becomes
+`torn`; the chips stay on. */
+void simulation_reset(struct simulation *s, uint8_t causes, int lost, uint8_t torn) {
+    if (lost) {
+        if (s->ee_until > 0)
+            s->eeprom[s->ee_address] = torn;
+        s->ee_until = 0;
+        for (uint32_t i = RAM_BEGIN, noise = torn + 1u; i <= s->avr->ramend; i++) {
+            noise = noise * 1664525u + 1013904223u;
+            s->avr->data[i] = (uint8_t)(noise >> 24);
+        }
+    }
+    avr_reset(s->avr);
+    s->avr->data[MCUSR_] = causes;
+}
+
+/* Start at a bootloader, which an Intel HEX file has; bytes of it. */
+uint32_t simulation_bootloader(struct simulation *s, const char *path, uint32_t start) {
+    uint32_t size, begin;
+    uint8_t *data = read_ihex_file(path, &size, &begin);
+    if (data == NULL)
+        return 0;
+    memcpy(s->avr->flash + begin, data, size);
+    free(data);
+    s->avr->reset_pc = start;
+    s->avr->codeend = s->avr->flashend;
+    return size;
+}
+
+uint32_t simulation_pc(const struct simulation *s) { return s->avr->pc; }
 
 /* Have the loop hang at its next begin (an endless `rjmp`), or run again. */
 void simulation_hang(struct simulation *s, int hang) {

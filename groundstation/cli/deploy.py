@@ -8,6 +8,7 @@ import typer
 
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName, Insecure, KeyRing, Settings
 from shoal.runtime.output import terminal
 
@@ -18,7 +19,7 @@ def deploy(
     experiment: Annotated[str, typer.Option(help="What is flown: a shipped experiment, or a path.")] = "pool",
     settings: Settings = None,
     fleet: FleetName = DEFAULT_FLEET,
-    link: Annotated[str, typer.Option(help="The thruster board, as on every robot.")] = "serial:/dev/ttyACM0:250000",
+    link: Annotated[str, typer.Option(help=f"{LINK_HELP} The same on every robot.")] = DEFAULT_LINK,
     link_key: Annotated[str | None, typer.Option(metavar="FILE", help="What signs that link: a file on the board.")] = None,
     home: Annotated[str, typer.Option(help="Folder on the board; the user must be able to write it.")] = "/opt/shoal",
     keys: KeyRing = None,
@@ -51,12 +52,13 @@ def deploy(
     )
     check(targets, request)
     table = Table("board", "robot", "would change" if dry_run else "changed", "version", "service")
-    failed = False
+    failed, notes = False, []
     for outcome in deploy_all(targets, request):
         failed |= bool(outcome.trouble)
         what: Text | str = Text(outcome.trouble, "red") if outcome.trouble else ", ".join(outcome.changed) or "nothing"
         table.add_row(outcome.target.host, str(outcome.target.robot), what, outcome.version, outcome.service)
-    terminal().print(table)
+        notes += [Text(f"{outcome.target.host}: {outcome.note}", "yellow")] if outcome.note else []
+    terminal().print(table, *notes)
     raise typer.Exit(1 if failed else 0)
 
 

@@ -36,6 +36,8 @@ class Probe:
     manifest: Mapping[str, str]
     agent: str = ""  # what the agent does, if it runs and is not disarmed: a mode's name, or "unknown"
     restart_due: bool = False  # what came last was installed without a restart
+    ports: tuple[str, ...] = ()  # serial ports, by the names that stay with a device
+    has_device: bool = False  # the link's serial port is there
 
     @property
     def platforms(self) -> tuple[str, ...]:
@@ -68,9 +70,10 @@ def check_home(home: str) -> None:
         raise ConfigError(f"--home {home!r}: no folder for a board (allowed: an absolute path of letters, digits, . _ - /)")
 
 
-PROBE = (  # behind templates/armed.sh
+PROBE = (  # behind templates/armed.sh; {ports} is a folder, {device} the link's serial port
     "uname -m; python3 -c 'import sys, venv, ensurepip; print(\"%d.%d\" % sys.version_info[:2])' 2>/dev/null || echo none; "
-    "armed | sed 's/^/agent /'; cat {home}/manifest 2>/dev/null || true"
+    "armed | sed 's/^/agent /'; ls {ports} 2>/dev/null | sed 's/^/port /'; [ ! -e {device} ] || echo device there; "
+    "cat {home}/manifest 2>/dev/null || true"
 )
 
 
@@ -85,7 +88,8 @@ def read_probe(host: str, answer: str) -> Probe:
         raise ConfigError(f"{host}: Python {python}, needs {'.'.join(map(str, OLDEST_PYTHON))} or newer")
     facts = dict(line.split(" ", 1) for line in manifest if " " in line)
     parts = {part: facts[part] for part in PARTS if part in facts}
-    return Probe(machine, python, parts, facts.get("agent", ""), "restart" in facts)
+    ports = tuple(line.removeprefix("port ") for line in manifest if line.startswith("port "))
+    return Probe(machine, python, parts, facts.get("agent", ""), "restart" in facts, ports, "device" in facts)
 
 
 def refuse_to_restart(target: Target, probe: Probe) -> None:

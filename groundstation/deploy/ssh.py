@@ -10,7 +10,7 @@ import subprocess
 import tarfile
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from groundstation.deploy import manifest, wheelhouse
@@ -20,7 +20,7 @@ from shoal.bus.key_ring import open_keys
 from shoal.bus.network import refuse_open
 from shoal.config.experiment import Experiment, dump_experiment
 from shoal.errors import ConfigError
-from shoal.mavlink.board_port import parse_link
+from shoal.mavlink.board_address import PORTS_BY_ID, missing_port, number_in_name, parse_link
 from shoal.messages.topics import Role, process_name
 
 ANSWER_S = 30.0
@@ -60,6 +60,7 @@ class TargetResult:
     version: str = ""
     service: str = ""
     trouble: str = ""
+    note: str = ""  # what a person should know besides
 
 
 def check(targets: Sequence[Target], request: DeployRequest) -> None:
@@ -91,10 +92,28 @@ def _tried(target: Target, request: DeployRequest) -> TargetResult:
 
 
 def deploy_one(target: Target, request: DeployRequest) -> TargetResult:
-    """Bring one board up to date. Raises ConfigError with the reason where that fails."""
+    """Bring one board up to date, and look at its serial ports. Raises ConfigError with the reason where that fails."""
     home = shlex.quote(request.home)
-    script = ARMED.read_text(encoding="utf-8") + manifest.PROBE.format(home=home)
-    probe = manifest.read_probe(target.host, _ssh(request, target, script, b"", ANSWER_S))
+    script = manifest.PROBE.format(home=home, ports=PORTS_BY_ID, device=shlex.quote(_device(request.link) or "/nowhere"))
+    probe = manifest.read_probe(target.host, _ssh(request, target, ARMED.read_text(encoding="utf-8") + script, b"", ANSWER_S))
+    result = _brought(target, request, probe, home)
+    return replace(result, note=_note_of(_device(request.link), probe))
+
+
+def _device(link: str) -> str:
+    """The serial port of a link; empty if it has none."""
+    address = parse_link(link)
+    return address.where if address.kind == "serial" else ""
+
+
+def _note_of(device: str, probe: Probe) -> str:
+    """Text about a serial port that is not there, or may be another board's; empty for any other, and without one."""
+    names = [f"{PORTS_BY_ID}/{name}" for name in probe.ports]
+    return "" if not device else number_in_name(device, names) if probe.has_device else missing_port(device, names)
+
+
+def _brought(target: Target, request: DeployRequest, probe: Probe, home: str) -> TargetResult:
+    """Bring what is not on a board yet."""
     parts = _parts(target, request, probe)
     digests = {part: manifest.digest(files) for part, files in parts.items()}
     travels = manifest.changed(digests, probe.manifest)

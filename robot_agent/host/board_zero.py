@@ -1,10 +1,11 @@
 """SHELL: the file that says at which depth a thruster board took its zero; it outlives the robot's computer.
 
-A board takes the pressure at which it is switched on for that at the surface (docs/board.md). While the agent runs, it sees a
-restart of its board under water (shoal/mavlink/power_on_depth.py). This file is for what no program sees: board and computer
-lose their power together, or the agent ends between. It holds the robot's last depth and which life of the board that was: the
-computer's boot, and the instant in it at which the board was switched on. A board of another life took its zero at that depth,
-as far as anybody knows, until a person confirms it (`robot-agent confirm-zero`).
+A board that does not report how its lives begin (docs/board.md, "After a reset") takes the pressure at which it is switched on
+for that at the surface. While the agent runs, it sees a restart of such a board under water (shoal/mavlink/power_on_depth.py).
+This file is for what no program sees: board and computer lose their power together, or the agent ends between. It holds the
+robot's last depth and which life of the board that was: the computer's boot, and the instant in it at which the board was
+switched on. A board of another life took its zero at that depth, as far as anybody knows, until a person confirms it
+(`robot-agent confirm-zero`).
 """
 
 import json
@@ -24,7 +25,7 @@ SERVICE_FOLDER = Path("/var/lib/shoal-agent")  # StateDirectory of the service
 FILE = "depth-zero.json"
 MOST_BYTES = 1000
 STEP_M = 0.05  # the file follows the depth in such steps
-LOOK_S = 1.0  # between two looks for a confirmation
+LOOK_S = 1.0  # between two looks at the telemetry
 WRITE_S = 10.0  # between two depths that are written, without waiting for the disk
 SLACK_S, DRIFT = 5.0, 0.01  # of the instant at which a board was switched on: what a burst waits, and how wrong its clock goes
 MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
@@ -88,19 +89,16 @@ class BoardZero:
     def note(self, telemetry: Telemetry) -> float | None:
         """Take in the board's telemetry. Returns the depth of its zero if that is another one than `telemetry` has."""
         now_s = self._now_s()
-        if self._folder is None or telemetry.board_ms < 0 or now_s - self._looked_s < LOOK_S:
+        if self._folder is None or telemetry.board_ms < 0 or now_s - self._looked_s < LOOK_S or telemetry.reports_start:
             return None
         first, self._looked_s = self._looked_s == -math.inf, now_s
         zero_m = telemetry.power_on_depth_m
         board_on_s = now_s - 1e-3 * telemetry.board_ms
-        record = self._read() if first or zero_m > STEP_M else None
-        if record is not None and first:
+        record = self._read() if first else None
+        if record is not None:
             zero_m = record.zero_m if self._same_life(record, now_s, board_on_s) else record.depth_m
             if zero_m > STEP_M:
                 log.warning("the thruster board's depth zero is taken to be at %.2f m, the robot's last known depth", zero_m)
-        elif record is not None and self._written is not None and record.zero_m == 0.0 < self._written.zero_m:
-            zero_m = 0.0
-            log.info("the thruster board's depth zero is confirmed")
         depth_m = telemetry.depth_m + zero_m
         self._keep(ZeroRecord(self._boot, now_s, board_on_s, zero_m, depth_m))
         return zero_m if zero_m != telemetry.power_on_depth_m else None

@@ -13,11 +13,10 @@ from pydantic import AfterValidator, Field, model_validator
 from shoal.config.loader import Section, check, read_toml
 from shoal.config.scene import LARGEST_ROBOT
 from shoal.errors import ConfigError
-from shoal.mavlink.board_port import BOARD_BAUD, Link, open_link
+from shoal.mavlink.board_address import DEFAULT_LINK, PORTS_BY_ID
+from shoal.mavlink.board_port import Link, open_link
 from shoal.mavlink.signing_key import Signing
 from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
-
-DEFAULT_LINK = f"serial:/dev/ttyACM0:{BOARD_BAUD}"
 
 TEMPLATE = """\
 # What this board is, for `robot-agent run --config {name}`, `robot-agent check` and the systemd unit.
@@ -30,7 +29,8 @@ robot = {robot}
 # Where the ground station's Zenoh router listens, and the fleet's name: fleets of different names ignore each other.
 {station}
 {fleet}
-# The thruster board: serial:DEVICE[:BAUD] or udp:HOST:PORT.
+# The thruster board: serial:DEVICE[:BAUD] or udp:HOST:PORT. Names in {ports} stay with a board; /dev/ttyACM0 is the
+# first one that is found, and may be another board's after a reboot.
 {link}
 # A key that signs this link (`robot-agent link-key FILE`; the board has the same). UDP to another machine needs one, or
 # link_insecure = true:
@@ -120,4 +120,4 @@ def template(name: str, config: AgentConfig) -> str:
     written = {key: tomli_w.dumps({key: value}).rstrip() for key, value in given.items()}
     left_out = {"link_key": '# link_key = "link.key"', "keys": '# keys = "keys"'}
     insecure = "insecure = true" if config.insecure else "# insecure = true"
-    return TEMPLATE.format(name=name, robot=config.robot, insecure=insecure, **{**left_out, **written})
+    return TEMPLATE.format(name=name, robot=config.robot, insecure=insecure, ports=PORTS_BY_ID, **{**left_out, **written})

@@ -10,19 +10,19 @@ from typing import Annotated
 
 import typer
 
-from robot_agent.host.config import DEFAULT_LINK
 from shoal.config.scene import LARGEST_ROBOT
 from shoal.errors import ConfigError
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
 from shoal.mavlink.board_port import Link, open_link
 from shoal.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient
 from shoal.mavlink.signing_key import Signing
 from shoal.runtime.cli_options import LinkInsecure, LinkKey, finite
 
 AGAIN_S = 0.3  # between one question and its repetition
-WITHIN_S = 5.0  # for an answer
+WITHIN_S = 5.0  # for an answer, beyond what a board needs before it speaks
 LARGEST = 3.4028234e38  # of single precision, which parameters have on the wire
 
-LinkAddress = Annotated[str, typer.Option("--link", help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")]
+LinkAddress = Annotated[str, typer.Option("--link", help=LINK_HELP)]
 WhichRobot = Annotated[
     int | None, typer.Option("--robot", min=1, max=LARGEST_ROBOT, help="Whose board; default: the one that is heard first.")
 ]
@@ -39,7 +39,7 @@ class ParameterSession:
 
     def until(self, done: Callable[[], bool], ask: Callable[[], bytes]) -> bool:
         """Repeat a request until `done()`. Returns False after WITHIN_S without success."""
-        end_s = time.monotonic() + WITHIN_S
+        end_s = time.monotonic() + WITHIN_S + (0.0 if self.client.has_answered else self._link.first_word_s)
         asked_s = 0.0
         while time.monotonic() < end_s:
             if time.monotonic() - asked_s > AGAIN_S:
@@ -84,7 +84,7 @@ def list_all(
 ) -> None:
     """Print all parameters, one a line: name, value.
 
-    Example:  robot-agent params list --link serial:/dev/ttyACM0
+    Example:  robot-agent params list --link serial:/dev/serial/by-id/NAME
     """
     with talk(link, robot, key, insecure) as session:
         if not session.until(lambda: session.client.complete, session.client.ask_all):
@@ -99,7 +99,7 @@ def get(
 ) -> None:
     """Print one parameter's value.
 
-    Example:  robot-agent params get SLEW_US_S --link serial:/dev/ttyACM0
+    Example:  robot-agent params get SLEW_US_S --link serial:/dev/serial/by-id/NAME
     """
     _check_name(name)
     with talk(link, robot, key, insecure) as session:
@@ -142,7 +142,7 @@ def give_key(
 
     Over a cable, and disarmed: every reader of the wire learns the key. A board that has a key keeps it.
 
-    Example:  robot-agent params give-key robot-1.key --link serial:/dev/ttyACM0
+    Example:  robot-agent params give-key robot-1.key --link serial:/dev/serial/by-id/NAME
     """
     signing = Signing.of(file, "params", LINK_ID)
     with talk(link, robot, None, insecure=False) as session:

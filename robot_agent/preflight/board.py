@@ -21,7 +21,7 @@ from robot_agent.safety.health import RESTART_DEPTH_M
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import Telemetry
-from shoal.mavlink.board_port import parse_link, serial_trouble
+from shoal.mavlink.board_address import number_in_name, parse_link, serial_ports, serial_trouble
 from shoal.mavlink.signing_key import agent_end
 from shoal.messages.messages import Mode
 from shoal.runtime.version import code
@@ -53,7 +53,7 @@ def run_preflight(
     yield from _computer()
     if experiment is not None:
         yield step_timing(experiment, config.robot)
-    yield from _device(config)
+    yield from check_device(config)
     yield from _depth_zero()
     idle = False
     if flying:  # two programs on one thruster board: what one sends the other would spoil
@@ -67,15 +67,16 @@ def run_preflight(
         yield from thrusters(experiment)
 
 
-def _device(config: AgentConfig) -> Iterator[CheckFinding]:
+def check_device(config: AgentConfig) -> Iterator[CheckFinding]:
+    """Check that the serial port of the link is there, and that its name stays with the board."""
     try:
         address = parse_link(config.link)
     except ConfigError:
         return  # the thruster board's line says it
     if address.kind == "serial":
-        trouble = serial_trouble(Path(address.where))
-        verdict = CheckVerdict.FAIL if trouble else CheckVerdict.OK
-        yield CheckFinding("device", verdict, trouble or f"{address.where}: can be read and written")
+        trouble, doubt = serial_trouble(Path(address.where)), number_in_name(address.where, serial_ports())
+        verdict = CheckVerdict.FAIL if trouble else CheckVerdict.WARN if doubt else CheckVerdict.OK
+        yield CheckFinding("device", verdict, trouble or doubt or f"{address.where}: can be read and written")
 
 
 def _depth_zero() -> Iterator[CheckFinding]:
@@ -93,10 +94,12 @@ def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
     """Listen to the thruster board. Returns True if it is heard and reports that it is disarmed: so no agent flies the
     robot."""
     try:
-        telemetry = read_telemetry(config)
+        telemetry, advice = read_telemetry(config)
     except ConfigError as error:
         yield CheckFinding("thruster board", CheckVerdict.FAIL, str(error))
         return False
+    if advice:
+        yield CheckFinding("baud rate", CheckVerdict.WARN, advice)
     if telemetry.autopilot_name:
         why = f"{config.link}: {telemetry.autopilot_name}, no thruster board: it takes pulses for a pilot's sticks"
         yield CheckFinding("thruster board", CheckVerdict.FAIL, why)
@@ -107,33 +110,45 @@ def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
     simulated = ", in HIL mode: measurements are simulated" if telemetry.hil else ""
     is_zero_wrong = telemetry.depth_m < -HIGHEST_M
     zero = ", above the surface: was it switched on under water? Restart it in air" if is_zero_wrong else ""
-    on = f"on for {telemetry.board_ms / 1000.0:.0f} s (its depth counts from where it was then)"
-    sound = idle and telemetry.battery_reports and not telemetry.hil and not is_zero_wrong
+    on = f"on for {telemetry.board_ms / 1000.0:.0f} s{_start(telemetry)}"
+    sound = idle and telemetry.battery_reports and not (telemetry.hil or is_zero_wrong or telemetry.zero_in_question)
     detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m{zero}, {on}, {armed}{simulated}"
     yield CheckFinding("thruster board", CheckVerdict.OK if sound else CheckVerdict.WARN, detail)
     return idle
 
 
-def read_telemetry(config: AgentConfig) -> Telemetry:
-    """Return the thruster board's telemetry. Raises ConfigError if the board is silent."""
+def _start(telemetry: Telemetry) -> str:
+    """Text about how the board's present life began."""
+    if not telemetry.reports_start:
+        return " (its depth counts from where it was then)"
+    cause = f" after {' and '.join(telemetry.reset_causes) or 'a reset of unknown cause'}"
+    kept = ", with the zeros kept from before" if telemetry.restarted else ""
+    doubt = ", DEPTH ZERO IN QUESTION: it will not arm before `robot-agent confirm-zero`" if telemetry.zero_in_question else ""
+    return f"{cause}{kept}{doubt}"
+
+
+def read_telemetry(config: AgentConfig) -> tuple[Telemetry, str]:
+    """Return the thruster board's telemetry, and what should be changed of the link. Raises ConfigError if the board is
+    silent."""
     wires, signing = open_board_link(config)
     mavlink = agent_end(config.robot, signing)
     try:
-        deadline, heard = time.monotonic() + BOARD_WITHIN_S, None
+        within_s = BOARD_WITHIN_S + wires.first_word_s
+        deadline, heard = time.monotonic() + within_s, None
         while time.monotonic() < deadline:
             wires.send(mavlink.heartbeat())  # a board behind UDP learns from it where we are
             wires.wait(0.1)
             mavlink.receive(wires.read(), time.monotonic_ns())
             if mavlink.telemetry.autopilot_name:
-                return mavlink.telemetry
+                return mavlink.telemetry, wires.advice
             if mavlink.telemetry.board_ms >= 0:
                 heard = mavlink.telemetry
                 if heard.battery_reports and heard.heartbeats:
                     break
         if heard is None:
             why = wires.trouble or _others(mavlink.telemetry, config.robot)
-            raise ConfigError(f"{config.link}: silent for {BOARD_WITHIN_S:g} s{why and '; '}{why}")
-        return heard
+            raise ConfigError(f"{config.link}: silent for {within_s:g} s{why and '; '}{why}")
+        return heard, wires.advice
     finally:
         wires.close()
 

@@ -43,7 +43,7 @@ def thrust(
 
     Exit code 2 for readings that no thruster makes, naming the line.
 
-    Example:  robot-agent identify thrust scale.csv --lever 0.5 --link serial:/dev/ttyACM0
+    Example:  robot-agent identify thrust scale.csv --lever 0.5 --link serial:/dev/serial/by-id/NAME
     """
     with os_errors_as_config_errors(file):
         lines = read_regular(file, MOST_BYTES).decode("utf-8-sig").splitlines()

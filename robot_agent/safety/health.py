@@ -168,11 +168,18 @@ class HealthMonitor:
             return f"{health.autopilot} is on the link, no thruster board: it takes pulses for a pilot's sticks"
         if inputs.telemetry.armed:
             return "the thruster board is still armed"
+        if inputs.telemetry.zero_in_question:
+            return (
+                "the thruster board restarted, and its depth zero is in question: confirm it on the robot with "
+                "`robot-agent confirm-zero`, or in air have it taken anew with `robot-agent confirm-zero --in-air`"
+            )
         if inputs.telemetry.power_on_depth_m > RESTART_DEPTH_M:
             return (
                 f"the thruster board restarted at {inputs.telemetry.power_on_depth_m:.2f} m and took its depth zero there: "
                 "restart it in air; or, if it was in air, confirm that on the robot with `robot-agent confirm-zero`"
             )
+        if inputs.telemetry.objection:
+            return inputs.telemetry.objection
         if health.pose_age_s > limit_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > limit_s:

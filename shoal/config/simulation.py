@@ -9,8 +9,12 @@ from shoal.config.fault_injection import Fault
 from shoal.config.loader import Section
 from shoal.config.plant import PlantConfig
 from shoal.config.scene import Vec3
-from shoal.config.vehicle import Fraction, NotNegative, Positive
+from shoal.config.vehicle import Fraction, NotNegative, Positive, Vehicle
 from shoal.frames import Array
+
+NO_ANKLE_US = 1000, 2000  # range of a board's pulses for ankles that are not there
+TRIMS = tuple(f"{part}{i}_TRIM_US" for part in ("THR", "ANK") for i in (1, 2, 3, 4))  # of the board at hand, not of a vehicle
+HIL = "HIL_MODE", "HIL_OUTPUTS"  # set for a flight on the desk; 0 at power-on
 
 Metre = Annotated[float, Field(ge=-1, le=1)]
 Turn = Annotated[float, Field(ge=-0.5, le=0.5)]
@@ -67,12 +71,30 @@ class Sensors(Section):
 
 
 class BoardRules(Section):
-    """The safety rules of the thruster board (docs/board.md). A firmware has the same values built in."""
+    """The safety rules of the thruster board (docs/board.md). A firmware has the same values built in, and a robot does not
+    arm if its board has others."""
 
     neutral_after_s: Annotated[float, Field(gt=0, le=0.3)] = 0.25
     """Age of the last pulses at which the board goes to neutral and disarms."""
     slew_us_per_s: Positive = 8000.0
     """Largest rate of the pulses. 8000 is full reverse to full ahead in 0.1 s, a thruster's own time constant."""
+
+    def parameters(self, vehicle: Vehicle) -> dict[str, float]:
+        """Values of all parameters that the board of a vehicle should have, by their names in docs/board.md."""
+        thruster, battery = vehicle.thruster, vehicle.battery
+        ankle_us = NO_ANKLE_US if vehicle.legs is None else vehicle.legs.ankle_us
+        values: dict[str, float] = {
+            "CMD_AGE_MS": round(self.neutral_after_s * 1000.0), "SLEW_US_S": self.slew_us_per_s,
+            "THR_COUNT": vehicle.thruster_count, "THR_NEUTRAL_US": thruster.neutral_us,
+            "THR_MIN_US": thruster.curve[0][0], "THR_MAX_US": thruster.curve[-1][0],
+            "ANK_MIN_US": ankle_us[0], "ANK_MAX_US": ankle_us[1],
+            **dict.fromkeys(TRIMS, 0),
+            "BAT_WARN_V": battery.warn_v, "BAT_NOARM_V": battery.no_arm_v, "BAT_NEUTRAL_V": battery.neutral_v,
+            "BAT_HYST_V": battery.hysteresis_v, **dict.fromkeys(HIL, 0),
+        }  # fmt: skip
+        for i, (pulse_us, force_n) in enumerate(thruster.curve, 1):
+            values |= {f"CRV{i:02}_US": pulse_us, f"CRV{i:02}_N": force_n}
+        return values
 
 
 class Numeric(Section):

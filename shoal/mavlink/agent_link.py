@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from shoal.mavlink.frame_codec import MARKER, Peer
 from shoal.mavlink.framing import LOSS_WINDOW_NS, Receiver, Sender
+from shoal.mavlink.parameter_list import ParameterList
 from shoal.mavlink.power_on_depth import PowerOnDepth
 from shoal.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
@@ -46,6 +47,9 @@ BOARD_MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
 CHARGE_STATES = range(8)  # MAV_BATTERY_CHARGE_STATE
 NO_AUTOPILOT = frozenset({dialect.MAV_AUTOPILOT_GENERIC, dialect.MAV_AUTOPILOT_INVALID})  # MAV_AUTOPILOT of a thruster board
 
+POWER_ON, RESTARTED, ZERO_IN_QUESTION = 0x1, 0x100, 0x200  # in HEARTBEAT's custom_mode: docs/board.md, "After a reset"
+RESET_CAUSES = {0x1: "power-on", 0x2: "reset pin", 0x4: "brown-out", 0x8: "watchdog", 0x10: "JTAG"}
+CALIBRATE: int = dialect.MAV_CMD_PREFLIGHT_CALIBRATION
 ARM_DISARM: int = dialect.MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT; rejected: for now
 
@@ -92,7 +96,11 @@ class Telemetry:
     hil: bool = False  # the board is in HIL mode: measurements and water are simulated
     heartbeats: int = 0  # how many times the board has told whether it is armed; 0: that is not known
     autopilot: int = dialect.MAV_AUTOPILOT_GENERIC  # MAV_AUTOPILOT that the last HEARTBEAT reported
-    power_on_depth_m: float = 0.0  # where the board was switched on, by what it measured before; 0: not known to be deeper
+    reset_causes: tuple[str, ...] = ()  # of the board's last reset; empty: not known
+    restarted: bool = False  # the board's life did not begin with a power-on in air: its zeros are those kept from before
+    zero_in_question: bool = False  # a person has to confirm the board's depth zero
+    objection: str = ""  # the reason not to arm that the robot's program found besides: of the board's parameters
+    power_on_depth_m: float = 0.0  # of a board that does not report its restarts: where it was switched on, as far as seen
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
     acknowledgements: int = 0
@@ -115,6 +123,11 @@ class Telemetry:
     def autopilot_name(self) -> str:
         """Name of the autopilot at the other end; empty for a thruster board, and before the first HEARTBEAT."""
         return autopilot_name(self.autopilot)
+
+    @property
+    def reports_start(self) -> bool:
+        """True if the board reports how its present life began."""
+        return bool(self.reset_causes) or self.restarted or self.zero_in_question
 
     @property
     def is_thruster_board(self) -> bool:
@@ -183,6 +196,7 @@ class AgentLink:
         self._power_on = PowerOnDepth()
         self._reported: dict[str, int] = {}  # the last value of each field that the next report has to confirm
         self.telemetry = Telemetry()
+        self.parameters = ParameterList()  # of the board's present life
 
     @property
     def stamp(self) -> int:
@@ -210,6 +224,11 @@ class AgentLink:
             )
         )
 
+    def calibrate(self, pressure: bool = False, gyro: bool = False) -> bytes:
+        """For a person: the board's zeros are right, or it takes them anew: `pressure` in air, `gyro` at rest."""
+        values = float(gyro), 0, float(pressure), 0, 0, 0, 0
+        return self._sender.pack(dialect.MAVLink_command_long_message(self._robot_id, BOARD_COMPONENT, CALIBRATE, 0, *values))
+
     def heartbeat(self) -> bytes:
         """Frame that says that this end is alive. It moves nothing: only pulses keep thrusters running."""
         return self._sender.pack(
@@ -228,9 +247,13 @@ class AgentLink:
         self._asked_ns = now_ns
         return self._sender.pack(dialect.MAVLink_timesync_message(0, now_ns))
 
+    def ask_parameters(self) -> bytes:
+        """Ask for the board's parameters, or for those that are still missing."""
+        return b"".join(map(self._sender.pack, self.parameters.requests(self._robot_id, BOARD_COMPONENT)))
+
     def set_zero(self, depth_m: float) -> None:
         """Take the board's depth zero to be at this depth, whatever was seen of its restarts."""
-        self._power_on.depth_m = depth_m
+        self._power_on.set_depth(depth_m)
         self.telemetry = replace(self.telemetry, power_on_depth_m=depth_m)
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -296,6 +319,16 @@ class AgentLink:
             armed, hil = dialect.MAV_MODE_FLAG_SAFETY_ARMED, dialect.MAV_MODE_FLAG_HIL_ENABLED
             mode = message.base_mode
             own = {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
+            status, causes = message.custom_mode, RESET_CAUSES.items()
+            if message.autopilot in NO_AUTOPILOT:  # an autopilot's own modes are something else
+                if status:
+                    self._power_on.note_start_report()
+                own |= {
+                    "reset_causes": tuple(name for bit, name in causes if status & bit),
+                    "restarted": bool(status & RESTARTED),
+                    "zero_in_question": bool(status & ZERO_IN_QUESTION),
+                    "power_on_depth_m": self._power_on.depth_m,
+                }
             return own | self._confirmed("autopilot", message.autopilot)
         return self._read_answer(kind, message, changes, now_ns)
 
@@ -306,6 +339,8 @@ class AgentLink:
                 return {}  # the answer to another sender's request
             count = changes.get("acknowledgements", self.telemetry.acknowledgements)
             return {"acknowledged": (message.command, message.result), "acknowledgements": count + 1}
+        if kind == "PARAM_VALUE":
+            self.parameters.note_value(message)
         if kind == "STATUSTEXT":
             texts = changes.get("texts", self.telemetry.texts)
             count = changes.get("texts_received", self.telemetry.texts_received)
@@ -343,6 +378,7 @@ class AgentLink:
         if board_ms < self._burst_ms:
             self._clocks.clear()
             self._doubted_clock = None
+            self.parameters = ParameterList()
         self._burst_ms = board_ms
         clocks = (min(self._clocks, default=None), self._doubted_clock)
         offsets_ns = [clock[1] for clock in clocks if clock is not None and clock[0] <= CLOCK_TRIP_NS]

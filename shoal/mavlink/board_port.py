@@ -1,49 +1,40 @@
 """SHELL: the wire to the thruster board: a UDP socket or a serial port. Bytes only; shoal/mavlink/agent_link.py gives them
-meaning."""
+meaning. A serial port looks at them for one thing: whether it hears a board, and at which baud rate."""
 
 import errno
+import math
 import os
 import select
 import socket
 import termios
-from dataclasses import dataclass
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
 import serial
 
 from shoal.errors import ConfigError
+from shoal.mavlink.board_address import parse_link, serial_trouble
+from shoal.mavlink.framing import Receiver
+from shoal.mavlink.signing import SignatureVerifier
+from shoal.runtime.runtime import log
 from shoal.system.loopback import is_loopback
 
 READ_BYTES = 65536
 READ_DATAGRAMS = 256  # at one read: more than a board sends in 2 s; a flood of them does not delay a control step
-BOARD_BAUD = 250_000  # of the firmware, as firmware/Makefile builds it; an ATmega at 16 MHz has it exactly
-FORMS = f"udp:HOST:PORT or serial:DEVICE[:BAUD], for example udp:127.0.0.1:14551 or serial:/dev/ttyACM0:{BOARD_BAUD}"
-BAUDS = range(300, 12_000_001)
+# Where a board is looked for that is not understood at the configured rate. 1200 is not among them: to many boards with USB of
+# their own it says to start the bootloader.
+USUAL_BAUDS = (250_000, 115_200, 57_600, 230_400, 460_800, 500_000, 921_600, 1_000_000)
+BAUD_S = 0.3  # at each rate: 15 bursts of a board that has it
+SETTLE_S = 0.1  # after the opening; what comes until then a board may have said before the opening reset it
+SILENT_S = 0.5  # 25 bursts; a board that is silent for so long may be in its bootloader
+QUIET_START_S = 2.0  # of a board that was reset: 0.9 s of bootloader, and its firmware's start
+# The longest that a board may need before it speaks: the end of a programming session in its bootloader, 5 s after the last
+# byte, the firmware's start, and a round of baud rates.
+FIRST_WORD_S = 9.0
+NOTHING_SENT = "and nothing is sent before it speaks (a bootloader would take it for programming)"
 IN_USE = "in use by another program (a robot's agent that runs has it: systemctl stop shoal-agent)"
-
-
-@dataclass(frozen=True)
-class Address:
-    """The address of a thruster board: `kind` is udp or serial, `number` the port or the baud rate."""
-
-    kind: str
-    where: str
-    number: int
-
-
-def parse_link(text: str, option: str = "--link") -> Address:
-    """The parts of an address. Raises ConfigError naming what is allowed."""
-    kind, _, rest = text.partition(":")
-    first, _, last = rest.rpartition(":")
-    if kind == "udp" and first and last.isdecimal() and 0 < int(last) < 65536:
-        return Address(kind, first.removeprefix("[").removesuffix("]"), int(last))
-    if kind == "serial" and rest:
-        device, baud = (first, int(last)) if first and last.isdecimal() else (rest, BOARD_BAUD)
-        if baud in BAUDS:
-            return Address(kind, device, baud)
-        raise ConfigError(f"{option} {text!r}: no baud rate (allowed: {BAUDS.start} to {BAUDS.stop - 1})")
-    raise ConfigError(f"{option} {text!r}: not an address of a thruster board (allowed: {FORMS})")
 
 
 class Link(Protocol):
@@ -59,9 +50,22 @@ class Link(Protocol):
         """The reason why nothing gets through, as far as this end can tell; else empty."""
         return ""
 
+    @property
+    def advice(self) -> str:
+        """The setting that a person should change though the link works; else empty."""
+        return ""
+
+    @property
+    def first_word_s(self) -> float:
+        """The longest that a board may be silent after the opening, beyond the time of an answer."""
+        return 0.0
+
 
 class UdpLink:
     """A board behind UDP, as in simulation or on an Ethernet autopilot."""
+
+    advice = ""
+    first_word_s = 0.0
 
     def __init__(self, host: str, port: int) -> None:
         self.socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
@@ -106,33 +110,77 @@ class UdpLink:
 
 
 class SerialLink:
-    """A board on a serial port or USB. An unplugged port is opened again when it is back."""
+    """A board on a serial port or USB. An unplugged port is opened again when it is back.
+
+    Opening the port resets many a board, through DTR. Its bootloader takes any byte for the start of a programming session,
+    and the firmware does not start while bytes come. So nothing is sent before an intact frame has come, nor after SILENT_S
+    without a byte. While what comes is no frame, the port listens at the usual baud rates by turns.
+    """
 
     def __init__(self, device: str, baud: int) -> None:
         self._device, self._baud = device, baud
+        self._bauds = (baud, *(rate for rate in USUAL_BAUDS if rate != baud))
         self._port: serial.Serial | None = None
         self._refusal = ""
         self._unsent = b""  # the rest of a frame of which the port has taken a part
+        self._found_baud = baud  # the last one at which a frame came
+        self._turn = 0  # of the rates, since the last frame
+        self._is_understood = False  # an intact frame has come, at this rate and since the last silence
+        self._opened_s = self._heard_s = (
+            self._turn_s
+        ) = -math.inf  # of the port; of the last byte; of the first one at this rate
+        self._listener = _listener()
         self._reopen()
 
     @property
     def trouble(self) -> str:
-        return "" if self._port is not None else serial_trouble(Path(self._device)) or self._refusal
+        if self._port is None:
+            return serial_trouble(Path(self._device)) or self._refusal
+        now_s = time.monotonic()
+        is_silent = now_s - self._heard_s > SILENT_S
+        if now_s - self._opened_s < QUIET_START_S or (self._is_understood and not is_silent):
+            return ""
+        if self._heard_s < self._opened_s:
+            return f"{self._device}: open, but not a byte has come, {NOTHING_SENT}; is the board powered, with its firmware?"
+        if is_silent:
+            return f"{self._device}: silent, {NOTHING_SENT}"
+        tried = f" at any of {', '.join(map(str, self._bauds))} baud" if self._turn >= len(self._bauds) else ""
+        return f"{self._device}: what comes is no MAVLink 2{tried}, {NOTHING_SENT}"
+
+    @property
+    def first_word_s(self) -> float:
+        return FIRST_WORD_S if self._port is not None else 0.0
+
+    @property
+    def advice(self) -> str:
+        if self._found_baud == self._baud:
+            return ""
+        return (
+            f"{self._device}: the board speaks at {self._found_baud} baud, not at {self._baud} as configured: "
+            f"set the link to serial:{self._device}:{self._found_baud}"
+        )
 
     def _reopen(self) -> None:
         try:
-            self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
+            self._port = serial.Serial(self._device, self._found_baud, timeout=0, write_timeout=0, exclusive=True)
+            _keep_dtr(self._port.fileno())
         except (OSError, ValueError, termios.error) as error:  # the last two: pulled out just then, or no such baud rate
-            self._port = None
+            self._drop()
             taken = isinstance(error, OSError) and error.errno in (errno.EAGAIN, errno.EBUSY)
             self._refusal = f"{self._device}: {IN_USE if taken else error}"
+            return
+        self._opened_s, self._is_understood = time.monotonic(), False
 
     def send(self, data: bytes) -> None:
         """Hand bytes to the port. A port that takes a part of them gets the rest with the next call, before anything else: the
-        board loses no frame that it has half of, nor those behind it. What it takes nothing of is dropped."""
+        board loses no frame that it has half of, nor those behind it. What it takes nothing of is dropped, and so is what is
+        for a board that may be in its bootloader."""
         if self._port is None:
             return
         try:
+            if not (self._is_understood and self._is_heard(self._port)):
+                self._unsent = b""
+                return
             while self._unsent:
                 self._unsent = self._unsent[os.write(self._port.fileno(), self._unsent) :]
             self._unsent = data[os.write(self._port.fileno(), data) :]  # pyserial's own, told not to wait, tries for ever
@@ -141,14 +189,49 @@ class SerialLink:
         except (OSError, serial.SerialException):
             self._drop()
 
+    def _is_heard(self, port: serial.Serial) -> bool:
+        """True if a byte has come within SILENT_S, or one is there to be read."""
+        return time.monotonic() - self._heard_s <= SILENT_S or port.in_waiting > 0
+
     def read(self) -> bytes:
         if self._port is None:
             self._reopen()
         try:
-            return bytes(self._port.read(READ_BYTES)) if self._port is not None else b""
+            data = bytes(self._port.read(READ_BYTES)) if self._port is not None else b""
+            if data and self._port is not None:
+                self._note_bytes(self._port, data, time.monotonic())
+            return data
         except (OSError, serial.SerialException):
             self._drop()
             return b""
+
+    def _note_bytes(self, port: serial.Serial, data: bytes, now_s: float) -> None:
+        """Take note of bytes of the board: whether a frame is among them, or else which rate is the next to be tried."""
+        if now_s - self._opened_s < SETTLE_S:
+            return
+        if now_s - self._heard_s > SILENT_S or self._heard_s < self._opened_s:  # it may have been reset
+            self._is_understood, self._turn = False, 0
+            self._listen_at(port, port.baudrate, now_s)
+        self._heard_s = now_s
+        if self._is_understood:
+            return
+        self._listener.receive(data, round(now_s * 1e9))
+        if self._listener.foreign_peer is not None:
+            self._is_understood, self._turn = True, 0
+            before, self._found_baud = self._found_baud, port.baudrate
+            if self._found_baud != before and self.advice:
+                log.warning("thruster board: %s", self.advice)
+        elif now_s - self._turn_s > BAUD_S:
+            self._turn += 1
+            self._listen_at(port, self._bauds[(self._bauds.index(port.baudrate) + 1) % len(self._bauds)], now_s)
+
+    def _listen_at(self, port: serial.Serial, baud: int, now_s: float) -> None:
+        """Listen for a frame at a baud rate. One that the port does not have leaves it as it is, until the next one's turn."""
+        self._listener, self._turn_s = _listener(), now_s
+        if baud != port.baudrate:
+            with suppress(ValueError, termios.error):
+                port.baudrate = baud
+            port.reset_input_buffer()
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until something can be read, at most this long."""
@@ -163,15 +246,16 @@ class SerialLink:
         self._drop()
 
 
-def serial_trouble(device: Path) -> str:
-    """The reason why a serial port cannot be opened, as far as can be seen without opening it; empty if it can."""
-    if not device.exists():
-        return f"{device}: not there; is the board plugged in, and powered?"
-    if not device.is_char_device():
-        return f"{device}: is no serial port"
-    if not os.access(device, os.R_OK | os.W_OK):
-        return f"{device}: no permission; add the user to its group (sudo usermod -aG dialout USER)"
-    return ""
+def _listener() -> Receiver:
+    """A receiver that takes no frame, and so knows the last sender of an intact one as a foreign peer."""
+    return Receiver(lambda peer: False, SignatureVerifier(None))
+
+
+def _keep_dtr(descriptor: int) -> None:
+    """Have a port keep DTR when it is closed: a program that opens it later does not reset the board again."""
+    settings = termios.tcgetattr(descriptor)
+    settings[2] &= ~termios.HUPCL
+    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
 
 def _resolved(host: str) -> tuple[socket.AddressFamily, str]:

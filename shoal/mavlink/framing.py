@@ -7,7 +7,7 @@ looking at their checksum.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
@@ -88,11 +88,16 @@ class Receiver:
 
     def receive(self, data: bytes, now_ns: int) -> list[Any]:
         """The peers' messages, in order, that are complete with these bytes. Never raises, whatever the bytes are."""
-        self.frames = []
-        if not (data or self._buffer):
-            return []
+        messages, self.frames = [], []
+        if data or self._buffer:
+            for message, frame in self.receive_each(data, now_ns):
+                messages.append(message)
+                self.frames.append(frame)
+        return messages
+
+    def receive_each(self, data: bytes, now_ns: int) -> Iterator[tuple[Any, bytes]]:
+        """The same, each with its frame, one by one: the next is judged when it is asked for."""
         self._buffer += data
-        messages: list[Any] = []
         at = 0
         while (at := self._buffer.find(MARKER, at)) >= 0:
             size = self._frame_size(at)
@@ -111,12 +116,15 @@ class Receiver:
                 continue
             at += size
             if self._is_taken(message, frame, now_ns):
-                messages.append(message)
-                self.frames.append(frame)
-        done = len(self._buffer) if at < 0 else at
+                self._drop(at)
+                at = 0
+                yield message, frame
+        self._drop(len(self._buffer) if at < 0 else at)
+
+    def _drop(self, done: int) -> None:
+        """Forget so many bytes."""
         del self._buffer[:done]
         self._waiting_bytes = max(self._waiting_bytes - done, 0)
-        return messages
 
     def _frame_size(self, at: int) -> int:
         """Bytes of the frame that starts at `at`, by its header; 0 if there can be no frame."""

@@ -3,7 +3,6 @@
 Sans-IO, like shoal/mavlink/agent_link.py: the caller carries the bytes and has the clock.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +11,7 @@ from pymavlink.dialects.v20 import common as dialect
 from shoal.mavlink.agent_link import BOARD_COMPONENT, PROTOCOL_VERSION, autopilot_name
 from shoal.mavlink.frame_codec import Peer
 from shoal.mavlink.framing import Receiver, Sender
+from shoal.mavlink.parameter_list import ParameterList
 from shoal.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 STATION: Peer = (255, 190)  # what ground stations go by
@@ -34,10 +34,7 @@ class ParameterClient:
         )
         self._others: set[int] = set()  # robots whose boards speak on the link as well
         self._key = key
-        self._count: int | None = None
-        self._by_index: dict[int, str] = {}
-        self.values: dict[str, float] = {}
-        self.value_count = 0  # values that came, the same again too
+        self._list = ParameterList()
         self.last_words = ""  # the board's last words
         self.error: tuple[str, int] | None = None  # last PARAM_ERROR: of which parameter, MAV_PARAM_ERROR
 
@@ -56,12 +53,7 @@ class ParameterClient:
 
     def ask_all(self) -> bytes:
         """Ask for all, or for those that are still missing of a list that has begun to come."""
-        robot = self.robot_id or 0
-        if self._count is None:
-            return self._sender.pack(dialect.MAVLink_param_request_list_message(robot, BOARD_COMPONENT))
-        missing = [index for index in range(self._count) if index not in self._by_index]
-        ask = dialect.MAVLink_param_request_read_message
-        return b"".join(self._sender.pack(ask(robot, BOARD_COMPONENT, b"", index)) for index in missing[:8])
+        return b"".join(map(self._sender.pack, self._list.requests(self.robot_id or 0, BOARD_COMPONENT)))
 
     def ask(self, name: str) -> bytes:
         """Ask for one."""
@@ -83,9 +75,19 @@ class ParameterClient:
         return self._sender.pack(message)
 
     @property
+    def values(self) -> dict[str, float]:
+        """The values that have come, by name."""
+        return self._list.values
+
+    @property
+    def value_count(self) -> int:
+        """Number of values that came, the same again too."""
+        return self._list.value_count
+
+    @property
     def complete(self) -> bool:
         """True if every parameter has come."""
-        return self._count is not None and len(self._by_index) == self._count
+        return self._list.is_complete
 
     def objection(self, trouble: str = "") -> str:
         """The reason to send nothing more: an autopilot is there, or nobody is heard; empty for a thruster board."""
@@ -121,14 +123,8 @@ class ParameterClient:
         if kind == "HEARTBEAT":
             self.robot_id = message.get_srcSystem()  # the one that is wanted, if one is
             self.autopilot = autopilot_name(message.autopilot)
-        if kind == "PARAM_VALUE" and math.isfinite(message.param_value):
-            if (
-                message.param_index < message.param_count
-            ):  # many a firmware answers a name without its place in the list: 65535
-                self._count = message.param_count
-                self._by_index[message.param_index] = message.param_id
-            self.values[message.param_id] = message.param_value
-            self.value_count += 1
+        if kind == "PARAM_VALUE":
+            self._list.note_value(message)
         if kind == "PARAM_ERROR" and (message.target_system, message.target_component) == STATION:
             self.error = (message.param_id, message.error)
         if kind == "STATUSTEXT":

@@ -1,19 +1,34 @@
-"""Depth at which a thruster board was switched on, by its own measurements before that. Pure.
+"""Depth at which a thruster board took its zero, by its own measurements before that. Pure.
 
-A board takes the pressure at the surface when it is switched on, in air (docs/board.md). One that restarts under water takes
-it there: each depth that it reports later is too small by the depth at which it restarted.
+For boards that do not report how their lives begin. Such a board takes the pressure at which it is switched on for that at the
+surface; if it restarts under water, each depth that it reports later is too small by the depth there. A board that does report
+it (docs/board.md, "After a reset") keeps its zero, and says when it is in question: nothing is guessed about it.
 """
 
 MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
 
 
 class PowerOnDepth:
-    """Depth of one board's zero. A board that is restarted in air later has a right zero again."""
+    """Depth of one board's zero. A board that is switched on again in air has a right one again."""
 
     def __init__(self) -> None:
-        self.depth_m = 0.0  # where the board was switched on; 0 for a board that has not restarted since it is heard
+        self._guess_m = 0.0
+        self._reports_start = False
         self._newest_ms, self._reported_m = -1, 0.0  # the last burst
         self._restarted_ms: int | None = None  # an earlier time than that, which the next burst has to confirm
+
+    @property
+    def depth_m(self) -> float:
+        """Depth of the zero; 0 for a board that has not restarted since it is heard, or that reports how its lives begin."""
+        return 0.0 if self._reports_start else self._guess_m
+
+    def set_depth(self, depth_m: float) -> None:
+        """Take the zero to be at this depth, whatever was seen of restarts."""
+        self._guess_m = depth_m
+
+    def note_start_report(self) -> None:
+        """Take in that the board reports how its lives begin."""
+        self._reports_start = True
 
     def note_burst(self, board_ms: int, reported_m: float) -> None:
         """Take in a burst's time on the board's clock, and its depth. Two bursts in a row of an earlier time: the board has
@@ -22,7 +37,7 @@ class PowerOnDepth:
             before_ms, self._restarted_ms = self._restarted_ms, board_ms
             if before_ms is None or not _follows(board_ms, before_ms):
                 return
-            self.depth_m += self._reported_m
+            self._guess_m += self._reported_m
         self._newest_ms, self._reported_m, self._restarted_ms = board_ms, reported_m, None
 
 

@@ -390,6 +390,8 @@ class BoardReading:
     heartbeats: Annotated[Uint32, 14] = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
     autopilot: Annotated[Uint32, 15] = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
     power_on_depth_m: Annotated[float, 16] = 0.0  # Depth at which the board was restarted; 0: not restarted.
+    objection: Annotated[str, 17] = ""  # Reason not to arm that the robot's program found in the board's parameters.
+    zero_in_question: Annotated[bool, 18] = False  # A person has to confirm the board's depth zero.
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,7 +73,7 @@ def board_conformance(
     The robot's own computer must be off the link. Parameters that are changed on the way are put back, however it ends.
     Exit code 0 if no rule failed, 1 if one did.
 
-    Example:  sim-bridge board-conformance --port /dev/ttyACM0 --dry
+    Example:  sim-bridge board-conformance --port /dev/serial/by-id/NAME --dry
     """
     if not dry and not yes and not typer.confirm(CAREFUL, err=True):
         dry = True
@@ -83,7 +83,7 @@ def board_conformance(
     wire = LinkWire(link)
     try:
         client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
-        _listen(wire, client)
+        _listen(wire, client, link.first_word_s)
         if (reason := client.objection(link.trouble)) or client.robot_id is None:
             raise ConfigError(f"--port {port}: {reason or 'what is there does not say which board it is'}")
         robot = client.robot_id
@@ -108,9 +108,9 @@ def board_conformance(
     raise typer.Exit(1 if failed else 0)
 
 
-def _listen(wire: BoardWire, client: ParameterClient) -> None:
-    """Listen until a heartbeat says what is there, for HEARD_WITHIN_S at most."""
-    end_ns, asked_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9), 0
+def _listen(wire: BoardWire, client: ParameterClient, first_word_s: float) -> None:
+    """Listen until a heartbeat says what is there, for HEARD_WITHIN_S at most beyond what it needs to speak."""
+    end_ns, asked_ns = wire.now_ns() + round((HEARD_WITHIN_S + first_word_s) * 1e9), 0
     while client.autopilot is None and wire.now_ns() < end_ns:
         if wire.now_ns() - asked_ns > 1e9:
             asked_ns = wire.now_ns()

@@ -117,7 +117,7 @@ def hil(
     Agents speak with their boards through the ports here, as beside `pool`. A robot-N.key in --boards signs a link. A board
     that is not in HIL mode, or that falls silent, ends the run: exit code 1, or 2 if it was so from the start.
 
-    Example:  sim-bridge hil pool --board 1=serial:/dev/ttyACM0 --board 2=udp:10.0.0.7:14550
+    Example:  sim-bridge hil pool --board 1=serial:/dev/serial/by-id/NAME --board 2=udp:10.0.0.7:14550
     """
     from sim_bridge.node.wires import PoolWires, real_boards, run_pool
 

@@ -15,7 +15,7 @@ from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.mavlink.board_port import Link, open_link
-from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.parameters import DOES_NOT_EXIST, ParameterClient
 from shoal.mavlink.signing import SignatureVerifier
 from shoal.mavlink.signing_key import Signing
 from shoal.runtime.runtime import Failed, log
@@ -139,38 +139,38 @@ class HilBoard:
 
 def not_in_hil(where: str) -> str:
     """The text about a board that is not in HIL mode, with what to do."""
-    return f"the board at {where} is not in HIL mode (robot-agent params set HIL_MODE 1 --link {where})"
+    return f"the board at {where} is not in HIL mode, any more: it was restarted, or told so (start this again, which sets it)"
 
 
 def connect(robot_id: int, where: str, key: Path | None, insecure: bool) -> tuple[Link, Signing | None]:
-    """Open the link to a real board that is in HIL mode. Raises ConfigError with the reason why it cannot be used."""
+    """Open the link to a real board and have it enter HIL mode: opening may reset a board, and a start leaves that mode.
+    Raises ConfigError with the reason why it cannot be used."""
     signing = Signing.of(key, "hil", LINK_ID) if key is not None else None
     link = open_link(where, secured=signing is not None or insecure, option=f"--board {robot_id}")
     client = ParameterClient(robot_id) if signing is None else ParameterClient(robot_id, signing.key, signing.stamps)
     try:
-        _ask_mode(link, client)
-        mode, reason = client.values.get("HIL_MODE"), client.objection(link.trouble)
-        if mode == 1.0 and not reason:
+        _set_mode(link, client)
+        if client.values.get("HIL_MODE") == 1.0:
             return link, signing
-        reason = reason or (not_in_hil(where) if mode is not None else "the board has no HIL mode")
-        raise ConfigError(f"--board {robot_id}={where}: {reason}")
+        raise ConfigError(f"--board {robot_id}={where}: {client.objection(link.trouble) or _refusal(client)}")
     except ConfigError:
         link.close()
         raise
 
 
-def _ask_mode(link: Link, client: ParameterClient) -> None:
-    """Ask a board for its HIL_MODE until it has answered and said what it is, or HEARD_WITHIN_S are over."""
-    end_s, asked_s = time.monotonic() + HEARD_WITHIN_S, 0.0
-
-    def is_told() -> bool:
-        return client.autopilot is not None and (
-            bool(client.autopilot) or "HIL_MODE" in client.values or client.error is not None
-        )
-
-    while not is_told() and time.monotonic() < end_s:
+def _set_mode(link: Link, client: ParameterClient) -> None:
+    """Tell a thruster board to enter HIL mode until it answers, or HEARD_WITHIN_S are over. An autopilot is told nothing."""
+    end_s, asked_s = time.monotonic() + HEARD_WITHIN_S + link.first_word_s, 0.0
+    while not (client.autopilot or client.error or client.values.get("HIL_MODE") == 1.0) and time.monotonic() < end_s:
         if time.monotonic() - asked_s > ASK_AGAIN_S:
             asked_s = time.monotonic()
-            link.send(client.heartbeat() + client.ask("HIL_MODE"))
+            is_board = client.autopilot == ""
+            link.send(client.heartbeat() + (client.set("HIL_MODE", 1.0) if is_board else b""))
         link.wait(0.05)
         client.receive(link.read(), time.monotonic_ns())
+
+
+def _refusal(client: ParameterClient) -> str:
+    if client.error is not None and client.error[1] == DOES_NOT_EXIST:
+        return "the board has no HIL mode"
+    return f"the board does not enter HIL mode{client.last_words and ': '}{client.last_words}"

@@ -13,7 +13,8 @@ from shoal.bus.network import endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
-from shoal.mavlink.board_port import is_local, parse_link
+from shoal.mavlink.board_address import parse_link
+from shoal.mavlink.board_port import is_local
 from shoal.messages.topics import Role, process_name
 from shoal.runtime.runtime import Stop, log
 from sim_bridge.node.board_ports import UdpPorts

@@ -3,8 +3,9 @@
 Bytes and the time come in, bytes and pulses go out. All times are ns of the board's own clock.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from shoal.config.experiment import Experiment
 from shoal.config.vehicle import Thruster
 from shoal.frames import Array
 from shoal.mavlink import agent_link
+from shoal.mavlink.agent_link import GRAVITY_MPS2, WATER_DENSITY_KGPM3
 from shoal.mavlink.frame_codec import Peer
 from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import LEVEL, BoardSensors, Reading
 from sim_bridge.thruster_board.board_link import (
     Arm,
     BoardLink,
+    Calibrate,
     Heartbeat,
     ListParameters,
     Override,
@@ -31,15 +34,25 @@ from sim_bridge.thruster_board.board_link import (
     Unsupported,
 )
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
-from sim_bridge.thruster_board.state_machine import INFO, S_NS, WARNING, BoardStateMachine, Charge
+from sim_bridge.thruster_board.sensor_zero import ZERO_IN_QUESTION, SensorZero, ZeroEvent, Zeros
+from sim_bridge.thruster_board.state_machine import (
+    INFO,
+    S_NS,
+    WARNING,
+    BoardStateMachine,
+    Charge,
+    StatusText,
+)
 
 MS_NS = 1_000_000
+HPA_PER_M = WATER_DENSITY_KGPM3 * GRAVITY_MPS2 / 100.0
 STATUS_NS, HEARTBEAT_NS, KEEP_NS = S_NS // 2, S_NS, S_NS
 MOTION_AGE_NS, BATTERY_AGE_NS = 100 * MS_NS, 2 * S_NS  # of simulated measurements, until they count as gone
 SENT_BETWEEN = 10_000  # more timestamps than a board uses between two writes of its memory
 
-COMPONENT_ARM_DISARM, REQUEST_MESSAGE = 400, 512  # MAV_CMD
+CALIBRATE, COMPONENT_ARM_DISARM, REQUEST_MESSAGE = 241, 400, 512  # MAV_CMD
 GYRO, ACCELEROMETER, PRESSURE, MOTORS, BATTERY = 0x1, 0x2, 0x8, 0x8000, 0x2000000  # MAV_SYS_STATUS_SENSOR
+SENSORS = GYRO | ACCELEROMETER | PRESSURE | MOTORS | BATTERY
 CHARGE_STATES = {Charge.GOOD: 1, Charge.WARN: 2, Charge.NO_ARM: 3, Charge.NEUTRAL: 4}  # OK, LOW, CRITICAL, EMERGENCY
 
 
@@ -51,6 +64,7 @@ class NonvolatileState:
     heard: int = 0  # newest timestamp of a signed frame that was taken; frames up to it are refused
     sent: int = 0  # newest timestamp that was used for signing
     key: Key | None = None  # the link's key, if it was set over the link
+    zeros: Zeros | None = None  # of the sensors, if they were taken
 
 
 class SimulatedSensors:
@@ -109,9 +123,11 @@ class ThrusterBoard:
         key: Key | None = None,
         stored: NonvolatileState | None = None,
         store: Callable[[NonvolatileState], None] = lambda stored: None,
+        zero: SensorZero | None = None,
     ) -> None:
         """Switch the board on, with what it `stored` before; `store` is called with what must survive the next loss of power.
-        With a `key` it signs its frames, and takes signed ones alone."""
+        With a `key` it signs its frames, and takes signed ones alone. `zero` is how this life begins; without it the board was
+        switched on in air some time ago."""
         sensors, stored = experiment.sim.sensors, stored or NonvolatileState()
         self._key, self._robot_id = key, robot_id
         self._load = DemandedLoad(experiment.vehicle.thruster, experiment.vehicle.thruster_count)
@@ -124,7 +140,10 @@ class ThrusterBoard:
         self._burst_ns = round(S_NS / sensors.rate_hz)
         self._outbox: list[bytes] = []
         self._simulated: SimulatedSensors | None = None  # in HIL mode
-        self._told = (False, False)  # armed, in HIL mode
+        self.zero = zero or SensorZero.settled()
+        if not self.zero.start.is_power_on:
+            self.rules.texts.append(StatusText(WARNING, f"restarted: {self.zero.start.cause_name}"))
+        self._told = (False, False, self._status())  # armed, in HIL mode, the zero
         self._stored_heard = stored.heard
         self._last_step_ns: int | None = None
         self._last_burst_ns: int | None = None
@@ -167,15 +186,22 @@ class ThrusterBoard:
 
     def _handle(self, data: bytes, now_ns: int) -> None:
         """Act on received bytes, frame by frame."""
-        for asker, event in self.link.receive(data, now_ns):
+        for asker, event in self.link.receive_each(data, now_ns):
             match event:
                 case Override(pulses_us):
                     self.rules.override(asker, pulses_us, now_ns)
                 case Arm(arm):
                     self._store()
                     result = self.rules.arm(arm, now_ns)
+                    if self.rules.armed:
+                        self.zero.leave_bias()
                     self._report_status()
                     self._outbox.append(self.link.acknowledge(asker, COMPONENT_ARM_DISARM, result))
+                case Calibrate(pressure, gyro):
+                    self._store()
+                    result = self._calibrate(pressure, gyro)
+                    self._report_status()
+                    self._outbox.append(self.link.acknowledge(asker, CALIBRATE, result))
                 case Timesync(sent_ns):
                     self._outbox.append(self.link.timesync(max(now_ns, 1), sent_ns))
                 case TellVersion():
@@ -205,6 +231,38 @@ class ThrusterBoard:
                         self._simulated.charge(voltage_v, now_ns)
                 case Heartbeat():
                     pass
+
+    def _status(self) -> int:
+        """HEARTBEAT's custom_mode. Simulated measurements have no zero."""
+        return self.zero.status & ~ZERO_IN_QUESTION if self.rules.parameters.hil else self.zero.status
+
+    def _calibrate(self, pressure: bool, gyro: bool) -> int:
+        """Have the zeros confirmed or taken anew, for a person; returns the MAV_RESULT."""
+        said = self.rules.texts
+        if self.rules.armed:
+            said.append(StatusText(WARNING, "not calibrated: armed"))
+            return agent_link.REJECTED
+        if not self.zero.calibrate(pressure, gyro):
+            said.append(StatusText(WARNING, "no depth zero is kept: take it in air"))
+            return agent_link.REJECTED
+        if not (pressure or gyro):
+            said.append(StatusText(INFO, "depth zero confirmed"))
+        return agent_link.ACCEPTED
+
+    def _zeroed(self, reading: Reading) -> Reading:
+        """Take the zeros of the sensors off a measurement, which they may be taken from."""
+        zero, said = self.zero, self.rules.texts
+        event = zero.take_pressure(reading.depth_m * HPA_PER_M)
+        if event is ZeroEvent.TAKEN:
+            said.append(StatusText(INFO, "depth zero taken"))
+        if event is ZeroEvent.QUESTIONED:
+            said.append(StatusText(WARNING, "depth zero in question: confirm it"))
+        if zero.take_rate(reading.yaw_rate_radps) is ZeroEvent.BIAS_TAKEN or event is ZeroEvent.TAKEN:
+            self._store()
+        zero_m = math.nan if zero.surface_hpa is None else zero.surface_hpa / HPA_PER_M
+        if (zero_m, zero.gyro_bias_radps) == (0.0, 0.0):
+            return reading
+        return replace(reading, depth_m=reading.depth_m - zero_m, yaw_rate_radps=reading.yaw_rate_radps - zero.gyro_bias_radps)
 
     def _enter_or_leave_hil(self, now_ns: int) -> None:
         """Follow a change of HIL_MODE, if there was one."""
@@ -243,7 +301,7 @@ class ThrusterBoard:
         """Write the nonvolatile state, before a command is carried out, so that its frame cannot count again."""
         parameters, self._stored_heard = self.rules.parameters, self.rules.gate.newest
         values = dict(zip(parameters.index, parameters.values, strict=True))
-        self._store_callback(NonvolatileState(values, self._stored_heard, self.link.stamp, self._key))
+        self._store_callback(NonvolatileState(values, self._stored_heard, self.link.stamp, self._key, self.zero.kept))
 
     @property
     def next_event_ns(self) -> int:
@@ -282,13 +340,15 @@ class ThrusterBoard:
                 voltage = self.sensors.battery_v(supply_v, self._load.of(self.pulses))
             if voltage is not None:
                 self.rules.battery(voltage, _seconds(self._last_burst_ns, now_ns))
+        reading: Reading | SimulatedMotion | None = None
+        if measures and self._simulated is not None:
+            reading = self._simulated.motion(now_ns)
+        elif measures:
+            reading = self._zeroed(self.sensors.read(eta, nu, acceleration, tilt, now_ns / S_NS))
         self.rules.step(now_ns)
         self._report_status()
         if measures:
-            if self._simulated is not None:
-                self._burst(now_ns, self._simulated.motion(now_ns), voltage)
-            else:
-                self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt, now_ns / S_NS), voltage)
+            self._burst(now_ns, reading, voltage)
             self._last_burst_ns = now_ns
         self._last_step_ns = now_ns
         data = b"".join(self._outbox)
@@ -296,28 +356,28 @@ class ThrusterBoard:
         return data
 
     def _report_status(self) -> None:
-        """Send the texts and the changes of arming and of HIL mode that are due."""
+        """Send the texts and the changes of arming, of HIL mode and of the zero that are due."""
         self._outbox += [self.link.text(text.severity, text.text) for text in self.rules.texts]
         self.rules.texts.clear()
-        if (self.rules.armed, self.link.hil) != self._told:
-            self._told = (self.rules.armed, self.link.hil)
+        if (now := (self.rules.armed, self.link.hil, self._status())) != self._told:
+            self._told = now
             self._outbox.append(self._heartbeat())
 
     def _heartbeat(self) -> bytes:
-        return self.link.heartbeat(self.rules.armed, self.rules.charge < Charge.NO_ARM, self.link.hil)
+        return self.link.heartbeat(self.rules.armed, self.rules.charge < Charge.NO_ARM, self.link.hil, self._status())
 
     def _burst(self, now_ns: int, reading: Reading | SimulatedMotion | None, voltage: float | None) -> None:
         """Send all measurements that there are, ATTITUDE last: it completes a burst."""
         link, rules = self.link, self.rules
         self.burst_ms = now_ns // MS_NS % 2**32
-        if reading is not None:
+        if reading is not None and _has_force(reading):
             self._outbox.append(link.imu(self.burst_ms, reading.acceleration_mps2, reading.yaw_rate_radps))
+        if reading is not None:
             self._outbox.append(link.pressure(self.burst_ms, reading.depth_m))
         self._outbox.append(link.servo_output(now_ns // 1000, rules.echo_us))
         if voltage is not None and crosses(STATUS_NS, self._last_burst_ns, now_ns):
-            sensors = GYRO | ACCELEROMETER | PRESSURE | MOTORS | BATTERY
-            healthy = sensors if rules.charge is Charge.GOOD else sensors & ~BATTERY
-            self._outbox.append(link.status(voltage, sensors, healthy, rules.overrides_refused + link.refused_frames))
+            healthy = _healthy(reading) | (BATTERY if rules.charge is Charge.GOOD else 0)
+            self._outbox.append(link.status(voltage, SENSORS, healthy, rules.overrides_refused + link.refused_frames))
             self._outbox.append(link.battery(voltage, CHARGE_STATES[rules.charge]))
         if crosses(HEARTBEAT_NS, self._last_burst_ns, now_ns):
             self._outbox.append(self._heartbeat())
@@ -329,6 +389,20 @@ class ThrusterBoard:
             self._outbox.append(link.attitude(self.burst_ms, reading.heading_rad, reading.yaw_rate_radps, tilt))
         if crosses(KEEP_NS, self._last_burst_ns, now_ns) and self.rules.gate.newest > self._stored_heard:
             self._store()
+
+
+def _has_force(reading: Reading | SimulatedMotion) -> bool:
+    """True if SCALED_IMU, whose whole numbers have no NaN, can tell a measurement."""
+    return math.isfinite(sum(reading.acceleration_mps2) + reading.yaw_rate_radps)
+
+
+def _healthy(reading: Reading | SimulatedMotion | None) -> int:
+    """The bits of the sensors that measure, and of the motors."""
+    if reading is None:
+        return MOTORS
+    gyro = GYRO if math.isfinite(reading.yaw_rate_radps) else 0
+    depth = PRESSURE if math.isfinite(reading.depth_m) else 0
+    return MOTORS | gyro | depth | (ACCELEROMETER if _has_force(reading) else 0)
 
 
 def crosses(period_ns: int, since_ns: int | None, now_ns: int) -> bool:

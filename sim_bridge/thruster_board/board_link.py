@@ -4,7 +4,7 @@ What a board does with a question is sim_bridge/thruster_board/state_machine.py;
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from shoal.mavlink.agent_link import (
     BOARD_COMPONENT,
     IGNORED,
     OVERRIDES,
+    POWER_ON,
     PROTOCOL_VERSION,
     SIMULATOR_COMPONENT,
     STANDARD_GRAVITY_MPS2,
@@ -52,6 +53,14 @@ class Arm:
     """Arm or disarm."""
 
     arm: bool
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Take the zeros of pressure sensor and gyro anew, or, with neither, confirm those that are."""
+
+    pressure: bool
+    gyro: bool
 
 
 @dataclass(frozen=True)
@@ -126,8 +135,8 @@ class SimulatedBattery:
 
 
 Event = (
-    Override | Arm | Heartbeat | Timesync | Unsupported | TellVersion | ListParameters | ReadParameter | SetParameter | SetKey
-    | SimulatedMotion | SimulatedBattery
+    Override | Arm | Calibrate | Heartbeat | Timesync | Unsupported | TellVersion | ListParameters | ReadParameter
+    | SetParameter | SetKey | SimulatedMotion | SimulatedBattery
 )  # fmt: skip
 
 
@@ -177,9 +186,12 @@ class BoardLink:
 
     def receive(self, data: bytes, now_ns: int) -> list[tuple[Peer, Event]]:
         """The requests in these bytes, with their senders. Never raises, whatever the bytes."""
-        events: list[tuple[Peer, Event]] = []
+        return list(self.receive_each(data, now_ns))
+
+    def receive_each(self, data: bytes, now_ns: int) -> Iterator[tuple[Peer, Event]]:
+        """The requests in these bytes one by one: what is done with one may change how the next is read."""
         self.read = []
-        for message, frame in zip(self._receiver.receive(data, now_ns), self._receiver.frames, strict=True):
+        for message, frame in self._receiver.receive_each(data, now_ns):
             self.taken_frames += 1
             try:
                 event = self._read(message)
@@ -188,8 +200,7 @@ class BoardLink:
                 continue
             self.read.append((frame, event))
             if event is not None:
-                events.append(((message.get_srcSystem(), message.get_srcComponent()), event))
-        return events
+                yield (message.get_srcSystem(), message.get_srcComponent()), event
 
     def _read(self, message: Any) -> Event | None:
         """The event that a MAVLink message stands for; None for one that is not for this board."""
@@ -209,15 +220,16 @@ class BoardLink:
             raise Refused
         return reader(message)
 
-    def heartbeat(self, armed: bool, healthy: bool, hil: bool = False) -> bytes:
-        """Armed or not, in HIL mode or not, and whether anything keeps it from working."""
+    def heartbeat(self, armed: bool, healthy: bool, hil: bool = False, status: int = POWER_ON) -> bytes:
+        """Armed or not, in HIL mode or not, whether anything keeps it from working, and in `status` how this life of the board
+        began (docs/board.md)."""
         mode = dialect.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | (dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
         mode |= dialect.MAV_MODE_FLAG_HIL_ENABLED if hil else 0
         working = dialect.MAV_STATE_ACTIVE if armed else dialect.MAV_STATE_STANDBY
         state = working if healthy else dialect.MAV_STATE_CRITICAL
         return self._sender.pack(
             dialect.MAVLink_heartbeat_message(
-                dialect.MAV_TYPE_SUBMARINE, dialect.MAV_AUTOPILOT_GENERIC, mode, 0, state, PROTOCOL_VERSION
+                dialect.MAV_TYPE_SUBMARINE, dialect.MAV_AUTOPILOT_GENERIC, mode, status, state, PROTOCOL_VERSION
             )
         )
 
@@ -294,10 +306,20 @@ class BoardLink:
         return self._sender.pack(dialect.MAVLink_command_ack_message(command, result, 0, 0, *asker))
 
 
+def _given(value: float) -> float:
+    """A parameter of a command, in which NaN is "not given"."""
+    return 0.0 if math.isnan(value) else value
+
+
 def _command(message: Any) -> Event:
-    force = 0.0 if math.isnan(message.param2) else message.param2  # in a command NaN is "not given"
+    force = _given(message.param2)
     if message.command == dialect.MAV_CMD_COMPONENT_ARM_DISARM and message.param1 in (0.0, 1.0) and force == 0.0:
         return Arm(message.param1 == 1.0)
+    gyro, pressure = _given(message.param1), _given(message.param3)
+    others = (message.param2, message.param4, message.param5, message.param6, message.param7)
+    nothing = all(_given(value) == 0.0 for value in others)
+    if message.command == dialect.MAV_CMD_PREFLIGHT_CALIBRATION and nothing and {gyro, pressure} <= {0.0, 1.0}:
+        return Calibrate(pressure == 1.0, gyro == 1.0)
     version = float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     if message.command == dialect.MAV_CMD_REQUEST_MESSAGE and message.param1 == version:
         return TellVersion()

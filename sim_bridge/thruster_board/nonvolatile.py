@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable
+from dataclasses import astuple
 from pathlib import Path
 
 from shoal.config.experiment import Experiment
@@ -11,6 +12,7 @@ from shoal.mavlink.signing_key import load_key, write_key
 from shoal.runtime.output_files import replace_text
 from shoal.system.regular_files import read_regular
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
+from sim_bridge.thruster_board.sensor_zero import Zeros
 
 MOST_BYTES = 1_000_000  # of a board's memory
 
@@ -40,13 +42,15 @@ def _read(memory: Path) -> NonvolatileState:
         parameters = {str(name): float(value) for name, value in found["parameters"].items()}
         if not all(map(math.isfinite, parameters.values())):
             raise ValueError("a parameter is no finite number")
-        return NonvolatileState(parameters, int(found["heard"]), int(found["sent"]))
+        zeros = Zeros(*map(float, found["zeros"])) if found.get("zeros") else None
+        return NonvolatileState(parameters, int(found["heard"]), int(found["sent"]), zeros=zeros)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{memory}: not what a board keeps: {error} (delete it for a board as new)") from None
 
 
 def _write(memory: Path, key: Path, stored: NonvolatileState) -> None:
-    told = {"parameters": dict(stored.parameters), "heard": stored.heard, "sent": stored.sent}
+    zeros = None if stored.zeros is None else list(astuple(stored.zeros))
+    told = {"parameters": dict(stored.parameters), "heard": stored.heard, "sent": stored.sent, "zeros": zeros}
     with os_errors_as_config_errors(memory):
         replace_text(memory, json.dumps(told, indent=1, allow_nan=False) + "\n", durable=False)
         if stored.key is not None and not (key.exists() and load_key(key).secret == stored.key.secret):

@@ -13,11 +13,11 @@ from functools import cached_property
 from itertools import pairwise
 
 from shoal.config.experiment import Experiment
+from shoal.config.simulation import HIL
 from shoal.mavlink.agent_link import PULSE_RANGE_US
 
 TRIM_US = 100.0  # us, largest trim; a larger one hides a fault of the linkage
 MOST_VOLTS = 60.0
-NO_ANKLE_US = 1000, 2000  # range of pulses for ankles that are not there
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ FIXED = (
     Parameter("HIL_MODE", 0, 1, True, "1: measurements are the simulator's; not kept without power"),
     Parameter("HIL_OUTPUTS", 0, 1, True, "1: pins follow in HIL mode too, only with HIL_MODE = 1; not kept without power"),
 )  # fmt: skip
-VOLATILE = ("HIL_MODE", "HIL_OUTPUTS")  # 0 at power-on, whatever was set
+VOLATILE = HIL  # 0 at power-on, whatever was set
 
 
 def _curve(points: int) -> tuple[Parameter, ...]:
@@ -118,17 +118,11 @@ class Parameters:
     @classmethod
     def of(cls, experiment: Experiment) -> "Parameters":
         """The parameters of the experiment's vehicle and board."""
-        vehicle, thruster, battery = experiment.vehicle, experiment.vehicle.thruster, experiment.vehicle.battery
-        ankle_us = NO_ANKLE_US if vehicle.legs is None else vehicle.legs.ankle_us
-        rules = experiment.sim.board
-        values = [
-            round(rules.neutral_after_s * 1000.0), rules.slew_us_per_s,
-            vehicle.thruster_count, thruster.neutral_us, thruster.curve[0][0], thruster.curve[-1][0], *ankle_us, *[0] * 8,
-            battery.warn_v, battery.no_arm_v, battery.neutral_v, battery.hysteresis_v, *[0] * len(VOLATILE),
-            *(value for point in thruster.curve for value in point),
-        ]  # fmt: skip
-        built = tuple(map(single, values))
-        return cls(FIXED + _curve(len(thruster.curve)), built, built)
+        values = experiment.sim.board.parameters(experiment.vehicle)
+        fixed = (replace(row, low=values[row.name]) if row.name == "THR_COUNT" else row for row in FIXED)
+        table = (*fixed, *_curve(len(experiment.vehicle.thruster.curve)))
+        built = tuple(single(values[row.name]) for row in table)
+        return cls(table, built, built)
 
     def changed(self, name: str, value: float) -> "Parameters | Refusal":
         """The parameters with one value changed, or the refusal."""
@@ -160,12 +154,11 @@ class Parameters:
 
     def _has_safe_neutral(self) -> bool:
         """True if no thruster of the vehicle for which the firmware was built pushes at neutral, by the present curve and by
-        that vehicle's own: a wrong curve must not make a disarmed board push, nor a wrong count have a thruster hold its
-        thrust."""
+        that vehicle's own: a wrong curve must not make a disarmed board push. (A count below the vehicle's, which would have a
+        thruster hold its thrust, is out of range.)"""
         trims_us = (0.0, *self.trims_us[: self.thrusters])
         zones = self.dead_zone_us, _dead_zone_us(self.built)
-        still = all(low <= self.neutral_us + trim <= high for trim in trims_us for low, high in zones)
-        return still and self.thrusters >= self.built[self.index["THR_COUNT"]]
+        return all(low <= self.neutral_us + trim <= high for trim in trims_us for low, high in zones)
 
     @cached_property
     def index(self) -> Mapping[str, int]:

@@ -10,7 +10,6 @@ from subprocess import Popen
 import numpy as np
 import pytest
 
-from robot_agent.host.params import set_one
 from shoal.config.experiment import NO_CAMERA, Experiment, dump_experiment, load_experiment
 from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.node.hil_board import HilBoard
@@ -36,7 +35,8 @@ STEP_CYCLES = 80_000
 class HilDesk:
     """The link to a board on a desk, in HIL mode and at rest, which makes a step of 5 ms each time that it is read."""
 
-    trouble = ""
+    trouble = advice = ""
+    first_word_s = 0.0
 
     def __init__(self, robot: int, board: ThrusterBoard) -> None:
         self.board, self._now_ns = board, 0
@@ -59,7 +59,8 @@ class HilDesk:
 class MegaDesk:
     """The link to an Arduino Mega in simavr, in HIL mode and at rest, which runs for 5 ms each time that it is read."""
 
-    trouble = ""
+    trouble = advice = ""
+    first_word_s = 0.0
 
     def __init__(self, robot: int) -> None:
         build = f"build/robot-{robot}"
@@ -148,8 +149,6 @@ def test_a_formation_of_boards_in_hil_mode_flies_within_its_limits_in_real_time(
     started = programs((1, 2), RunOptions(poses=True), run, address, free_base_port((1, 2)))
     children = Children(run / "logs")
     with plug(f"pty:{tmp_path}/plug", tmp_path / "kept", 1), plug(f"udp:127.0.0.1:{udp}", tmp_path / "kept", 2):
-        for where in boards.values():
-            set_one("HIL_MODE", 1.0, where)
         try:
             for program in in_hil(started, boards):
                 children.start(program.name, program.module, program.arguments)

@@ -15,11 +15,13 @@ import numpy as np
 
 from shoal.mavlink.agent_link import AgentLink
 from shoal.mavlink.frame_codec import MARKER
+from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.thruster_board.board_link import BoardLink, Override
 
 READ_BYTES = 65536
 NUMBER_AT = 4  # in a frame
 IDLE_S = 0.02
+GREET_S = 1.0  # a board behind UDP speaks to a wire that it has heard lately; one on a serial port speaks unasked
 
 
 @dataclass
@@ -59,7 +61,7 @@ class SerialWire:
         self._board.connect(("127.0.0.1", self.board_port))
         self._board.setblocking(False)
         self._random = np.random.default_rng([self.seed, self.robot])
-        self._reader = BoardLink(self.robot)
+        self._reader, self._greeter, self._greeted_s = BoardLink(self.robot), ParameterClient(self.robot), -GREET_S
         self._later: list[tuple[float, bytes]] = []
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"wire-{self.robot}", daemon=True)
@@ -72,6 +74,9 @@ class SerialWire:
 
     def _run(self) -> None:
         while not self._stop.is_set():
+            if time.monotonic() - self._greeted_s >= GREET_S:
+                self._greeted_s = time.monotonic()
+                self._put(self._greeter.heartbeat(), to_board=True)
             ready, _, _ = select.select([self._master, self._board.fileno()], [], [], IDLE_S)
             for end in ready:
                 try:

@@ -15,6 +15,7 @@ from shoal.mavlink.frame_codec import Peer
 from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.parameters import Parameters
+from sim_bridge.thruster_board.sensor_zero import BoardStart, Zeros
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 POOL = load_experiment("pool")
@@ -51,6 +52,7 @@ class CReading(ctypes.Structure):
         ("excess_hpa", ctypes.c_float),
         ("temperature_cdegc", ctypes.c_int16),
         ("battery_v", ctypes.c_float),
+        ("chip", ctypes.c_uint8 * 2),
     ]
 
     @classmethod
@@ -58,7 +60,9 @@ class CReading(ctypes.Structure):
         """The reading of the Python board's sensors."""
         acceleration = (ctypes.c_float * 3)(*reading.acceleration_mps2)
         excess_hpa = depth_to_hpa(reading.depth_m) - SURFACE_HPA
-        return cls(reading.heading_rad, reading.yaw_rate_radps, acceleration, excess_hpa, 2000, battery_v)
+        return cls(
+            reading.heading_rad, reading.yaw_rate_radps, acceleration, excess_hpa, 2000, battery_v, (ctypes.c_uint8 * 2)()
+        )
 
 
 def load(path: Path) -> ctypes.CDLL:
@@ -68,6 +72,7 @@ def load(path: Path) -> ctypes.CDLL:
     calls = {
         "library_board_bytes": (ctypes.c_uint32, []),
         "library_begin": (None, [board, ctypes.c_uint8, ctypes.c_char_p, ctypes.c_uint64, ctypes.c_uint64]),
+        "library_start": (None, [board, ctypes.c_uint8, ctypes.c_bool, ctypes.c_bool, ctypes.c_float, ctypes.c_float]),
         "library_receive": (ctypes.c_bool, [board, ctypes.c_char_p, ctypes.c_uint32, time_us]),
         "library_step": (None, [board, time_us, ctypes.POINTER(CReading)]),
         "library_take_output": (u16, [board, ctypes.c_char_p]),
@@ -77,6 +82,8 @@ def load(path: Path) -> ctypes.CDLL:
         "library_eeprom": (ctypes.POINTER(ctypes.c_uint8), []),
         "library_cut": (None, [ctypes.c_uint32, ctypes.c_uint8]),
         "library_store_bytes": (ctypes.c_uint32, []),
+        "library_busy": (None, [ctypes.c_bool]),
+        "board_step": (None, [board, time_us, ctypes.POINTER(CReading)]),
         "library_boot": (None, [board, board, ctypes.c_uint8]),
         "library_put": (None, [board, ctypes.c_char_p, u16, time_us]),
         "library_pass": (None, [board, board, time_us]),
@@ -105,6 +112,12 @@ class FirmwareBoard:
         self._outputs, self._state = (ctypes.c_uint16 * CHANNELS)(), (ctypes.c_uint32 * 4)()
         self._bytes = ctypes.create_string_buffer(OUTBOX_BYTES)
         library.library_begin(self._board, robot_id, None if key is None else key.secret, peer_stamp, sent)
+
+    def start(self, start: BoardStart) -> None:
+        """Have this life begin so."""
+        zeros = start.zeros or Zeros(0.0)
+        has_zeros, surface_hpa, bias = start.zeros is not None, zeros.surface_hpa, zeros.gyro_bias_radps
+        self._library.library_start(self._board, start.causes, start.is_power_on, has_zeros, surface_hpa, bias)
 
     def receive(self, data: bytes, now_ns: int) -> bool:
         """True if a frame was taken."""

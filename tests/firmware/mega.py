@@ -1,15 +1,43 @@
 """The Arduino Mega's firmware in simavr, in this process and in its own time."""
 
 import ctypes
+import math
 import subprocess
 from dataclasses import dataclass
+from enum import IntEnum, IntFlag
 from pathlib import Path
 
+import pytest
+
+from sim_bridge.thruster_board.board import HPA_PER_M
 from tests.firmware.library import built
 
 CYCLES_PER_US, BAUD = 16, 250_000
 RAM_BEGIN = 0x200
 EEPROM_BYTES, RING, EDGES = 4096, 1 << 16, 1 << 16
+BOOTLOADER = Path("/usr/share/arduino/hardware/arduino/avr/bootloaders/stk500v2/stk500boot_v2_mega2560.hex")
+BOOT_START = 0x3E000
+IMU, PRESSURE = 0, 1  # chips
+LEVEL = (0, 0, 8192, 0, 0, 0, 0)  # what the IMU measures at rest: acceleration, temperature, gyro, in its own numbers
+AIR_RAW, RAW_PER_M = 4510376, 14680.0  # of the pressure sensor, with the coefficients of its data sheet's example
+
+
+class ChipFault(IntEnum):
+    """`enum fault` of simavr_board.c."""
+
+    ABSENT = 0
+    FROZEN = 1  # answers, with the same value again and again
+    WRONG = 2  # another WHO_AM_I, a damaged PROM
+    LATE = 3  # conversions take four times as long
+
+
+class Reset(IntFlag):
+    """Causes of a reset, as MCUSR has them."""
+
+    POWER_ON = 1
+    PIN = 2
+    BROWN_OUT = 4
+    WATCHDOG = 8
 
 
 class CEdge(ctypes.Structure):
@@ -29,24 +57,27 @@ class Pulse:
 class Mega:
     """An Arduino Mega with the firmware, from power-on."""
 
-    def __init__(self, eeprom: bytes | None = None, elf: Path | None = None) -> None:
+    def __init__(self, eeprom: bytes | None = None, elf: Path | None = None, bootloader: bool = False) -> None:
         self._library = ctypes.CDLL(str(built("build/libsimavr_board.so", compiler="avr-gcc")))
         self._library.simulation_open.restype = ctypes.c_void_p
         self._library.simulation_cycle.restype = ctypes.c_uint64
         elf = elf or built("build/board.elf", compiler="avr-gcc")
         symbols = _symbols(elf)
-        self.static_bytes = (symbols["__bss_end"] & 0xFFFF) - RAM_BEGIN
+        self.static_bytes = (symbols["_end"] & 0xFFFF) - RAM_BEGIN
         self._simulation = ctypes.c_void_p(
             self._library.simulation_open(
-                str(elf).encode(), BAUD, symbols["loop_once"], symbols["hal_idle"], symbols["__bss_end"] & 0xFFFF
+                str(elf).encode(), BAUD, symbols["loop_once"], symbols["hal_idle"], symbols["_end"] & 0xFFFF
             )
         )
         assert self._simulation.value is not None
         self._bytes = ctypes.create_string_buffer(RING)
         self._edges = (CEdge * EDGES)()
         self._risen: dict[int, float] = {}
-        if eeprom is not None:
-            self._library.simulation_eeprom(self._simulation, ctypes.create_string_buffer(eeprom, EEPROM_BYTES), 1)
+        memory = b"\xff" * EEPROM_BYTES if eeprom is None else eeprom
+        self._library.simulation_eeprom(self._simulation, ctypes.create_string_buffer(memory, EEPROM_BYTES), 1)
+        if bootloader:
+            self.load_bootloader()
+            self.reset(Reset.POWER_ON)
 
     def close(self) -> None:
         self._library.simulation_close(self._simulation)
@@ -105,15 +136,59 @@ class Mega:
         self._library.simulation_eeprom(self._simulation, memory, 0)
         return memory.raw
 
+    @eeprom.setter
+    def eeprom(self, memory: bytes) -> None:
+        self._library.simulation_eeprom(self._simulation, ctypes.create_string_buffer(memory, EEPROM_BYTES), 1)
+
     # --- what is done to it
 
-    def reset(self) -> None:
-        """A brown-out."""
-        self._library.simulation_reset(self._simulation)
+    def reset(self, causes: Reset = Reset.BROWN_OUT) -> None:
+        """A reset that the RAM outlives."""
+        self._library.simulation_reset(self._simulation, int(causes), 0, 0)
 
-    def chip(self, chip: int, asleep: bool = False, absent: bool = False) -> None:
-        """State of the IMU (0) or the pressure sensor (1): `asleep` after a loss of its supply, or not on the bus."""
-        self._library.simulation_chip(self._simulation, chip, asleep, absent)
+    def lose_power(self, torn: int = 0xFF) -> None:
+        """The supply fails, and comes back: only the EEPROM outlives it; a byte that is being written becomes `torn`."""
+        self._library.simulation_reset(self._simulation, int(Reset.POWER_ON | Reset.BROWN_OUT), 1, torn)
+        self.power_chip(IMU)
+        self.power_chip(PRESSURE)
+
+    def load_bootloader(self) -> None:
+        """Start at Arduino's bootloader from the next reset on, as a stock board does. Skips the test if it is not there."""
+        if not BOOTLOADER.exists():
+            pytest.skip("no bootloader: arduino-core-avr is not installed")
+        assert self._library.simulation_bootloader(self._simulation, str(BOOTLOADER).encode(), BOOT_START)
+
+    @property
+    def is_in_bootloader(self) -> bool:
+        return int(self._library.simulation_pc(self._simulation)) >= BOOT_START
+
+    def fault(self, chip: int, fault: ChipFault, is_on: bool = True) -> None:
+        """Something is wrong with a chip, or no longer."""
+        self._library.simulation_fault(self._simulation, chip, int(fault), is_on)
+
+    def power_chip(self, chip: int) -> None:
+        """The supply of a chip fails for a moment."""
+        self._library.simulation_power_chip(self._simulation, chip)
+
+    def glitch(self, register: int, value: int) -> None:
+        """A register of the IMU changes by itself."""
+        self._library.simulation_glitch(self._simulation, register, value)
+
+    def hold_bus(self, after_bytes: int = 1) -> None:
+        """A chip stops in the middle of a byte of the read that comes, and holds the bus."""
+        self._library.simulation_hold_bus(self._simulation, after_bytes)
+
+    def measure(self, depth_m: float = 0.0, yaw_rate_radps: float = 0.0, air_hpa: float = 0.0) -> None:
+        """Have the sensors measure a depth, with the air's pressure above that in which it began, and a turn."""
+        gyro = round(-yaw_rate_radps / (math.radians(1.0) / 65.5))
+        raw = AIR_RAW + round(RAW_PER_M * (depth_m + air_hpa / HPA_PER_M))
+        self._library.simulation_measure(self._simulation, (ctypes.c_int16 * 7)(*LEVEL[:6], gyro), raw)
+
+    def eeprom_counts(self) -> tuple[int, int]:
+        """Bytes that were begun to be written; accesses while one was."""
+        counts = (ctypes.c_uint32 * 2)()
+        self._library.simulation_eeprom_counts(self._simulation, counts)
+        return counts[0], counts[1]
 
     def hang(self, hangs: bool) -> None:
         """Have the program hang in its loop, or no longer."""

@@ -5,50 +5,22 @@ from itertools import pairwise
 
 import pytest
 
-from shoal.mavlink.agent_link import IGNORED, AgentLink
+from shoal.mavlink.agent_link import IGNORED
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
 from sim_bridge.thruster_board.simulator_link import SimulatorLink
 from tests.firmware.bench import first_failure
 from tests.firmware.mega import CYCLES_PER_US, Mega, Pulse
+from tests.firmware.pilot import STEP_NS, Pilot
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
-STEP_NS = 5_000_000
 NEUTRAL_US, AGE_US, STEP_US, PERIOD_US = 1500.0, 250_000.0, 5000.0, 20_000.0
 PHASES, BYTE_US, STOPS_US = 200, 40.0, 260_000.0  # a byte at 250,000 baud
 KEY = Key(bytes(range(1, 33)))
+FIRST_KEPT_S = 2.5  # a board's first settings are written twice, 256 bytes of 3.4 ms each
 RAM_BYTES, STATIC_AND_STACK, WORST_LOOP = 8192, 0.6, 0.5
 BURSTS, BURSTS_SIGNED_IN_HIL = 98, 75  # of 100 in 2 s; a signed link in HIL mode is more than the processor can hash
-
-
-class Pilot:
-    """A robot's computer at a Mega, in its time."""
-
-    def __init__(self, mega: Mega, key: Key | None = None) -> None:
-        self.mega, self.link, self._now_ns = mega, AgentLink(1, key, lambda: 100_000), 0
-        self.bursts: set[int] = set()
-
-    def run(self, seconds: float, *thrusters_us: int, ankle_us: int = IGNORED) -> None:
-        """Let time pass, with overrides at 20 Hz if there are pulses."""
-        for count in range(round(seconds * 1e9) // STEP_NS):
-            if thrusters_us and count % 10 == 0:
-                self.send(self.link.pulses([*thrusters_us, *[ankle_us] * 4]))
-            self.step()
-
-    def step(self) -> None:
-        self._now_ns += STEP_NS
-        self.link.receive(self.mega.step(self._now_ns), self._now_ns)
-        self.bursts.add(self.link.telemetry.board_ms)
-
-    def send(self, frame: bytes) -> None:
-        self.mega.receive(frame, self._now_ns)
-
-    def arm(self) -> None:
-        self.run(0.15, *[1500] * 4)
-        self.send(self.link.arm(True))
-        self.run(0.15, *[1500] * 4)
-        assert self.link.telemetry.armed
 
 
 @pytest.fixture
@@ -64,7 +36,7 @@ def signed(mega: Mega) -> Iterator[Mega]:
     pilot = Pilot(mega)
     pilot.run(0.3)
     pilot.send(ParameterClient(1).give(KEY, 500))
-    pilot.run(1.5)
+    pilot.run(FIRST_KEPT_S)
     board = Mega(mega.eeprom)
     yield board
     board.close()
@@ -181,9 +153,9 @@ def test_parameters_and_key_survive_a_loss_of_power(mega: Mega) -> None:
     client, pilot = ParameterClient(1), Pilot(mega)
     pilot.run(0.3)
     pilot.send(client.set("SLEW_US_S", 4321.0))
-    pilot.run(1.2)
+    pilot.run(FIRST_KEPT_S)
     pilot.send(client.give(KEY, 50_000))
-    pilot.run(1.5)
+    pilot.run(FIRST_KEPT_S)
     again = Mega(mega.eeprom)
     owner, signed = ParameterClient(1, KEY, lambda: 100_000), Pilot(again, KEY)
     signed.run(0.3)
@@ -240,34 +212,3 @@ def test_stack_and_loop_are_within_their_budgets(request: pytest.FixtureRequest,
 @pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])
 def test_the_mega_passes_the_conformance_run(request: pytest.FixtureRequest, key: Key | None) -> None:
     assert first_failure(request.getfixturevalue("mega" if key is None else "signed"), key) is None
-
-
-@pytest.mark.parametrize("state", ["asleep", "absent"])
-def test_an_imu_that_lost_its_supply_is_noticed_and_begun_anew(mega: Mega, state: str) -> None:
-    pilot = Pilot(mega)
-    pilot.run(1.5)
-    assert bursts(pilot, 0.5) > 20
-    mega.chip(0, asleep=state == "asleep", absent=state == "absent")
-    pilot.run(0.1)
-    assert bursts(pilot, 0.4) == 0  # NaN is no measurement
-    mega.chip(0, asleep=state == "asleep")
-    pilot.run(1.2)
-    assert bursts(pilot, 0.5) > 20
-
-
-@pytest.mark.parametrize("chip", [0, 1], ids=["IMU", "pressure"])
-def test_a_sensor_that_is_silent_at_power_on_is_tried_again(mega: Mega, chip: int) -> None:
-    pilot = Pilot(mega)
-    mega.chip(chip, absent=True)
-    pilot.run(0.5)
-    assert bursts(pilot, 0.5) == 0
-    mega.chip(chip)
-    pilot.run(1.5)
-    assert bursts(pilot, 0.5) > 20
-
-
-def bursts(pilot: Pilot, seconds: float) -> int:
-    """Number of bursts that the agent takes in this time."""
-    pilot.bursts.clear()
-    pilot.run(seconds)
-    return len(pilot.bursts) - 1  # the one before is among them

@@ -3,18 +3,22 @@ setting is torn."""
 
 import ctypes
 import random
+import struct
 from collections.abc import Iterator
 
 import pytest
+from pymavlink.generator.mavcrc import x25crc
 
-from shoal.mavlink.agent_link import CHANNELS, IGNORED, AgentLink
+from shoal.mavlink.agent_link import CHANNELS, IGNORED, STANDARD_GRAVITY_MPS2, AgentLink
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
-from tests.firmware.library import PARAMETERS, FirmwareBoard, built, load
+from sim_bridge.plant.sensors import Reading
+from sim_bridge.thruster_board.board import HPA_PER_M
+from tests.firmware.library import PARAMETERS, CReading, FirmwareBoard, built, load
 
 KEY = Key(bytes(range(1, 33)))
 EEPROM_BYTES, SLOTS, SLOT_BYTES, BYTE_US = 4096, 6, 256, 3400
-NEVER = 2**32 - 2
+NEVER, VALUES_AT = 2**32 - 2, 37
 NEUTRAL, AHEAD = (1500,) * 4 + (IGNORED,) * 4, (1900,) * 4 + (IGNORED,) * 4
 
 
@@ -62,6 +66,10 @@ def library() -> ctypes.CDLL:
 
 @pytest.fixture(scope="module")
 def keyed(library: ctypes.CDLL) -> bytes:
+    return keyed_memory(library)
+
+
+def keyed_memory(library: ctypes.CDLL) -> bytes:
     """The memory of a board that has been given a key."""
     board = StoredBoard(library, b"\xff" * EEPROM_BYTES)
     board.put(ParameterClient(1).give(KEY, 500))
@@ -200,3 +208,107 @@ def test_a_board_whose_settings_cannot_be_read_takes_nothing(library: ctypes.CDL
     assert board.value("SLEW_US_S") == PARAMETERS["SLEW_US_S"]
     assert board.texts() == [(2, "settings cannot be read: takes nothing"), *[(4, "not armed: no override is arriving")] * 2]
     assert len(NEUTRAL) == CHANNELS
+
+
+def settled(library: ctypes.CDLL, eeprom: bytes, excess_m: float, rate_radps: float) -> StoredBoard:
+    """A board in air with these measurements until its zeros are taken and kept."""
+    board = StoredBoard(library, eeprom)
+    reading = CReading.of(Reading(0.0, rate_radps, (0.0, 0.0, -STANDARD_GRAVITY_MPS2), excess_m), 12.0)
+    for count in range(1, 80):
+        board.now_us = count * 20_000
+        library.board_step(board._board, board.now_us, ctypes.byref(reading))
+        library.library_busy(count % 2 == 0)  # a byte is not yet written
+        board.go(1)
+    library.library_busy(False)
+    board.go(40)
+    return board
+
+
+def test_zeros_are_kept_and_the_older_ones_where_the_newest_are_torn(library: ctypes.CDLL) -> None:
+    first = settled(library, b"\xff" * EEPROM_BYTES, 0.0, 0.25).eeprom
+    for write, value in cuts(14):
+        board = StoredBoard(library, first)
+        board.cut(write, value)
+        again = settled_zeros(library, settled(library, board.eeprom, 0.05, 0.5).eeprom)
+        assert again == pytest.approx((0.05, 0.5), abs=0.01), (write, value)
+
+
+def settled_zeros(library: ctypes.CDLL, eeprom: bytes) -> tuple[float, float]:
+    """The zeros that a memory holds: the depth of the surface pressure, and the bias."""
+    at = SLOTS * SLOT_BYTES + 144 * 16
+    found = []
+    for slot in range(16):
+        record = eeprom[at + 16 * slot : at + 16 * slot + 16]
+        if x25(record[:14]) == struct.unpack("<H", record[14:])[0]:
+            found.append(struct.unpack("<Hff", record[:10]))
+    _, surface_hpa, bias_radps = max(found)
+    return surface_hpa / HPA_PER_M, bias_radps
+
+
+def x25(data: bytes) -> int:
+    """MAVLink's checksum, by pymavlink."""
+    return int(x25crc(data).crc)
+
+
+@pytest.mark.parametrize(("name", "value"), [("SLEW_US_S", -1.0), ("SLEW_US_S", float("nan")), ("THR_NEUTRAL_US", 1890.0)])
+def test_kept_parameters_that_no_board_may_have_are_those_of_the_build(
+    library: ctypes.CDLL, keyed: bytes, name: str, value: float
+) -> None:
+    board = StoredBoard(library, rewritten(keyed, VALUES_AT + 4 * PARAMETERS.index[name], struct.pack("<f", value)))
+    assert board.value(name) == PARAMETERS[name]
+
+
+def rewritten(memory: bytes, at: int, data: bytes, slots: range = range(SLOTS)) -> bytes:
+    """A memory with other bytes in each of its written records of settings, and with their checksums right."""
+    changed = bytearray(memory)
+    for base in (slot * SLOT_BYTES for slot in slots):
+        if changed[base + 2] == 1:  # it has a key, and so is written
+            changed[base + at : base + at + len(data)] = data
+            struct.pack_into("<H", changed, base + SLOT_BYTES - 2, x25(bytes(changed[base : base + SLOT_BYTES - 2])))
+    return bytes(changed)
+
+
+def test_values_of_another_table_are_not_taken_but_the_key_is(library: ctypes.CDLL, keyed: bytes) -> None:
+    other = rewritten(keyed, VALUES_AT + 4 * PARAMETERS.index["SLEW_US_S"], struct.pack("<f", 4321.0))
+    assert StoredBoard(library, other).value("SLEW_US_S") == 4321.0
+    board = StoredBoard(library, rewritten(other, VALUES_AT - 2, b"\x12\x34"))
+    assert board.value("SLEW_US_S") == PARAMETERS["SLEW_US_S"]
+    board.put(ParameterClient(1).set("SLEW_US_S", 1234.0))  # not signed
+    board.go(5)
+    assert board.value("SLEW_US_S") == PARAMETERS["SLEW_US_S"]
+
+
+def test_the_newest_record_is_taken_through_the_wrap_of_its_count(library: ctypes.CDLL, keyed: bytes) -> None:
+    record = keyed[:SLOT_BYTES] if keyed[2] == 1 else keyed[SLOT_BYTES : 2 * SLOT_BYTES]
+    for counts, newest in (((7, 8, 6), 1), ((65535, 0, 65534), 1), ((3, 65535, 2), 0)):
+        memory = bytearray(record * 3 + keyed[3 * SLOT_BYTES :])
+        written = bytes(memory)
+        for slot, count in enumerate(counts):
+            written = rewritten(written, 0, struct.pack("<H", count), range(slot, slot + 1))
+            value = struct.pack("<f", 1000.0 + slot)
+            written = rewritten(written, VALUES_AT + 4 * PARAMETERS.index["SLEW_US_S"], value, range(slot, slot + 1))
+        assert StoredBoard(library, written).value("SLEW_US_S") == 1000.0 + newest, counts
+
+
+def frame_of(stamp: int, link_id: int) -> bytes:
+    """A signed request of a stream of its own."""
+    return ParameterClient(1, Key(KEY.secret, link_id), lambda: stamp).ask("SLEW_US_S")
+
+
+def test_streams_older_than_a_minute_or_too_many_are_refused_and_unused_ones_freed(library: ctypes.CDLL, keyed: bytes) -> None:
+    def takes(stamp: int, link_id: int) -> bool:
+        board.put(frame_of(stamp, link_id))
+        board.go(150)  # half a second: then any sequence number counts
+        return any(b"SLEW_US_S" in piece for piece in [board.output()])
+
+    board, minute, now = StoredBoard(library, keyed), 6_000_000, 100_000_000
+    assert takes(now, 0)
+    assert not takes(now, 0)  # again
+    assert not takes(now - minute - 1, 1)  # held back for more than a minute
+    assert takes(now - minute + 50, 2)
+    for link_id in range(3, 17):
+        assert takes(now + link_id, link_id), link_id
+    assert not takes(now + 20, 17)  # 16 streams are in use
+    assert takes(now + minute + 100, 0)
+    assert takes(now + minute + 101, 17)  # in the place of one that nobody used for a minute
+    assert not takes(now - minute + 1, 2)  # that one

@@ -122,6 +122,49 @@ def test_random_calls_have_the_outputs_of_the_reference(library: ctypes.CDLL) ->
     assert sum(armed) > 0.1 * SEQUENCES  # and many sequences got somewhere
 
 
+def test_of_more_texts_than_find_room_the_newest_are_kept(library: ctypes.CDLL) -> None:
+    board = FirmwareBoard(library)
+    for _ in range(5):
+        board.arm(True, 0)
+    board.override(COMPUTER, (1500,) * 8, 0)
+    board.arm(True, 0)
+    board.arm(False, 0)
+    board.arm(True, 0)
+    texts = [text for _, text in board.texts()]
+    assert texts == ["not armed: no override is arriving"] * 3 + ["armed", "disarmed", "armed"]
+
+
+PUSHING = {  # changes that are taken, and the one after them that would have a disarmed board push
+    "fewer thrusters than the vehicle's": [("THR_COUNT", 3.0)],
+    "neutral ahead": [("THR_NEUTRAL_US", 1890.0)],
+    "a trim": [("THR1_TRIM_US", 100.0)],
+    "a curve that does not push back": [*((f"CRV{i:02}_N", 0.0) for i in (5, 4, 3, 2, 1))],
+    "a curve that does not push ahead": [*((f"CRV{i:02}_N", 0.0) for i in (8, 9, 10, 11, 12))],
+    "neutral in the dead zone of another curve": [("CRV05_N", 0.0), ("THR_NEUTRAL_US", 1460.0)],
+    "a trim in the dead zone of another curve": [("CRV05_N", 0.0), ("THR2_TRIM_US", -40.0)],
+    "neutral outside, each trim inside": [*((f"THR{i}_TRIM_US", 20.0) for i in (1, 2, 3, 4)), ("THR_NEUTRAL_US", 1460.0)],
+    "neutral outside by the vehicle's curve": [
+        ("CRV05_N", 0.0), *((f"THR{i}_TRIM_US", 20.0) for i in (1, 2, 3, 4)), ("THR_NEUTRAL_US", 1460.0),
+    ],
+    "a curve from beyond neutral on": [("CRV06_N", -0.1)],
+    "no battery levels": [("BAT_NOARM_V", 0.0)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", PUSHING.values(), ids=PUSHING)
+def test_a_change_that_could_have_a_disarmed_board_push_is_refused(
+    library: ctypes.CDLL, changes: list[tuple[str, float]]
+) -> None:
+    board, parameters = FirmwareBoard(library), PARAMETERS
+    for at, (name, value) in enumerate(changes, start=1):
+        refusal = REFUSALS[board.change(PARAMETERS.index[name], value)]
+        changed = parameters.changed(name, value)
+        assert refusal is (changed if isinstance(changed, Refusal) else None)
+        assert (refusal is None) is (at < len(changes)), name
+        parameters = parameters if isinstance(changed, Refusal) else changed
+    assert board.pulses[:4] == tuple(round(1500 + trim) for trim in parameters.trims_us[:4])
+
+
 @pytest.mark.slow
 def test_many_random_calls_have_the_outputs_of_the_reference(library: ctypes.CDLL) -> None:
     for seed in range(100_000):

@@ -362,7 +362,8 @@ def kept_manifest(tmp_path: Path) -> DeployRequest:
         f"""import io, pathlib, sys, tarfile
 board, command = pathlib.Path({str(tmp_path)!r}), sys.argv[-1]
 if "uname" in command:
-    print("x86_64", "3.11", (board / "manifest").read_text() if (board / "manifest").exists() else "", sep="\\n")
+    ports = (board / "ports").read_text() if (board / "ports").exists() else ""
+    print("x86_64", "3.11", ports + ((board / "manifest").read_text() if (board / "manifest").exists() else ""), sep="\\n")
 else:
     restart = command.split()[-1].strip("'")
     manifest = tarfile.open(fileobj=io.BytesIO(sys.stdin.buffer.read())).extractfile("manifest").read().decode()
@@ -393,3 +394,42 @@ def test_a_service_that_does_not_come_up_is_trouble(kept_manifest: DeployRequest
     (tmp_path / "service").write_text(service)
     outcome = deploy_one(Target("board", 1), kept_manifest)
     assert f"its service is {service} after the restart" in outcome.trouble
+
+
+def test_a_probe_finds_the_serial_ports_of_a_board(tmp_path: Path) -> None:
+    """In the shell of this machine, with a folder in the place of /dev/serial/by-id."""
+    ports = tmp_path / "by-id"
+    ports.mkdir()
+    (ports / "usb-2-if00").touch()
+    (ports / "usb-1-if00").touch()
+
+    def probed(folder: Path, device: Path) -> Probe:
+        command = manifest.PROBE.format(home=tmp_path, ports=folder, device=device)
+        asked = deploy_shell.ARMED.read_text(encoding="utf-8") + command
+        done = subprocess.run(["sh", "-c", asked], capture_output=True, text=True, check=True)
+        return manifest.read_probe("pi", done.stdout)
+
+    found = probed(ports, ports / "usb-1-if00")
+    assert (found.ports, found.has_device) == (("usb-1-if00", "usb-2-if00"), True)
+    found = probed(tmp_path / "none", tmp_path / "none")
+    assert (found.ports, found.has_device) == ((), False)
+
+
+@pytest.mark.parametrize(
+    ("ports", "link", "says"),
+    [
+        ("port usb-1\nport usb-2\n", "serial:/dev/ttyACM0", "not there; is the board plugged in, and powered?; there are "),
+        ("port usb-1\nport usb-2\ndevice there\n", "serial:/dev/ttyACM0", "may be another board's after a reboot"),
+        ("port usb-1\nport usb-2\ndevice there\n", "serial:/dev/serial/by-id/usb-1", ""),
+        ("port usb-1\ndevice there\n", "serial:/dev/ttyACM0", ""),
+        ("port usb-1\nport usb-2\n", "udp:127.0.0.1:9", ""),
+    ],
+)
+def test_a_serial_port_that_is_not_there_or_may_be_another_boards_is_told(
+    ports: str, link: str, says: str, kept_manifest: DeployRequest, tmp_path: Path
+) -> None:
+    (tmp_path / "ports").write_text(ports)
+    found = deploy_one(Target("board", 1), replace(kept_manifest, link=link))
+    assert (says in found.note) if says else found.note == ""
+    if says:
+        assert "/dev/serial/by-id/usb-1, /dev/serial/by-id/usb-2" in found.note

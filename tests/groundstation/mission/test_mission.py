@@ -1303,3 +1303,18 @@ def test_an_automatic_mission_goes_on_when_the_localizer_is_the_runs_again() -> 
         robot.localizer_hash = run.experiment.hash
     run.step(2.5)
     assert run.at(MissionState.RUNNING)
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        ((), "the path is a circle"),
+        (('path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1,dive_mps=0.001}',), "the path dives"),
+    ],
+)
+def test_a_path_that_cannot_be_left_is_refused_with_the_one_reason_that_holds(settings: Sequence[str], why: str) -> None:
+    run = MissionRun(settings=settings)
+    while run.mission.state is not MissionState.RUNNING:
+        run.step()
+    refused = run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
+    assert refused == f"{why}: it cannot be left for other places under way"

@@ -4,29 +4,41 @@ import math
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from robot_agent.__main__ import cli
-from robot_agent.host import board_zero
+from robot_agent.host import board_zero, zero_request
 from robot_agent.host.board_zero import FILE, MS_WRAPS, BoardZero, read_record
 from robot_agent.node import AgentNode, StepTime
 from robot_agent.safety.health import RESTART_DEPTH_M
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
-from shoal.mavlink.agent_link import Telemetry
+from shoal.mavlink.agent_link import CALIBRATE, UNSUPPORTED, Telemetry
+from shoal.runtime.output_files import replace_text
 from shoal.runtime.runtime import Stop
+from sim_bridge.thruster_board.board_link import BoardLink, Calibrate
 from tests.robot_agent.obedient_board import Board
 
 CONFIRM = "confirm that on the robot with `robot-agent confirm-zero`"
 
 
+class SilentAboutStarts(BoardLink):
+    """A board's end that reports nothing about how its life began."""
+
+    def heartbeat(self, armed: bool, healthy: bool, hil: bool = False, status: int = 0) -> bytes:
+        return super().heartbeat(armed, healthy, hil, status)
+
+
 class Switched(Board):
-    """A board that took its zero `zero_m` deep."""
+    """A board that took its zero `zero_m` deep, reports nothing about it, and knows no command to confirm it."""
 
     def __init__(self, zero_m: float) -> None:
         super().__init__()
-        self._zero_m = zero_m
+        self._link, self._zero_m = SilentAboutStarts(1), zero_m
+
+    def send(self, data: bytes) -> None:
+        for asker, event in self._link.receive(data, self._ms * 1_000_000):
+            if isinstance(event, Calibrate):
+                self._answers += self._link.acknowledge(asker, CALIBRATE, UNSUPPORTED)
 
     def read(self) -> bytes:
         burst = super().read()
@@ -35,10 +47,12 @@ class Switched(Board):
 
 
 def refusals(folder: Path, boot: str, zero_m: float, monkeypatch: pytest.MonkeyPatch, steps: int = 3) -> list[str]:
-    """Reasons of one life of a robot's program and its board against arming, after each step."""
+    """Reasons of one life of a robot's program and its board against arming, after each step. With more than 3 steps a person
+    confirms the zero after the first."""
     monkeypatch.setenv("STATE_DIRECTORY", str(folder))
     monkeypatch.setattr(board_zero, "boot_id", lambda: boot)
     monkeypatch.setattr(board_zero, "LOOK_S", 0.0)
+    monkeypatch.setattr(zero_request, "LOOK_S", 0.0)
     bus, reasons = Bus(MemoryTransport(MemoryHub())), []
     node = AgentNode(load_experiment("pool"), 1, bus, Switched(zero_m), Stop(install=False))
     for step in range(steps):
@@ -48,7 +62,7 @@ def refusals(folder: Path, boot: str, zero_m: float, monkeypatch: pytest.MonkeyP
         station = inputs.station.__class__(7, now_ns, 0.03)
         reasons.append(node.agent._health.arming_refusal(inputs, station, now_ns))  # what ARM is answered, without a station
         if step == 0 and steps > 3:
-            assert CliRunner().invoke(cli, ["confirm-zero", "--state", str(folder)]).exit_code == 0
+            replace_text(folder / zero_request.FILE, zero_request.KEPT)
     return reasons
 
 
@@ -63,9 +77,10 @@ def test_a_board_and_its_computer_that_restart_under_water_do_not_arm_until_a_pe
     assert record is not None
     assert record.zero_m == pytest.approx(0.3, abs=0.01)
     assert record.depth_m == pytest.approx(0.3, abs=0.01), "counted from the surface"
-    confirmed = refusals(tmp_path, "second", 0.3, monkeypatch, steps=5)
+    confirmed = refusals(tmp_path, "second", 0.3, monkeypatch, steps=7)
     assert CONFIRM in confirmed[0], "a restart of the program alone confirms nothing"
-    assert not any(CONFIRM in why for why in confirmed[2:])
+    assert not any(CONFIRM in why for why in confirmed[4:])
+    assert not (tmp_path / zero_request.FILE).exists()
     assert not any(CONFIRM in why for why in refusals(tmp_path, "third", 0.3, monkeypatch)), "nor does it come back"
 
 

@@ -32,11 +32,13 @@ from shoal.bus.transport import Presence
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
+from shoal.mavlink import board_address
 from shoal.messages import topics
 from shoal.messages.messages import Mode, Solve, StationHeartbeat
 from sim_bridge.sil.ports import free_base_port, free_port
 from tests.robot_agent import obedient_board
 from tests.robot_agent.autopilot import Autopilot
+from tests.shoal.mavlink.resetting_board import ResettingBoard
 
 pytestmark = pytest.mark.real_time
 
@@ -387,6 +389,48 @@ def test_failed_check_is_named(tmp_path: Path) -> None:
     assert "'s, this is agent-9" in checked(tmp_path)[1]["certificate"][1]
     key_ring.add(ring, "robot", 9, datetime.now(UTC))
     assert "no station listens" in checked(tmp_path)[1]["station"][1]
+
+
+def test_a_port_that_is_missing_or_shares_its_kind_is_told_with_those_that_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two boards exchange the names /dev/ttyACM0 and /dev/ttyACM1 at a reboot."""
+    names = [tmp_path / "usb-1", tmp_path / "usb-2"]
+    for name in names:
+        name.touch()
+    monkeypatch.setattr(board_address, "PORTS_BY_ID", tmp_path)
+    both = ", ".join(map(str, names))
+    board = AgentConfig(robot=1, experiment="pool", station="tcp/127.0.0.1:9", link="serial:/dev/ttyACM77")
+    missing = next(check_shell.check_device(board))
+    assert missing.verdict is CheckVerdict.FAIL and missing.detail.endswith(f"; there are {both}")
+    monkeypatch.setattr(check_shell, "serial_trouble", lambda device: "")
+    assert next(check_shell.check_device(board)).detail.endswith(f"several are plugged in: choose of {both}")
+    assert next(check_shell.check_device(board)).verdict is CheckVerdict.WARN
+    by_id = board.model_copy(update={"link": f"serial:{names[0]}"})
+    assert next(check_shell.check_device(by_id)).verdict is CheckVerdict.OK
+
+
+def test_a_board_that_is_reset_by_the_opening_and_has_another_rate_is_heard_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mega = ResettingBoard(tmp_path / "plug", baud=250_000)
+    monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
+    try:
+        link = f"serial:{mega.path}:115200"
+        (tmp_path / "agent.toml").write_text(
+            f'experiment = "pool"\nrobot = 1\nstation = "tcp/127.0.0.1:{free_port()}"\nlink = "{link}"\n'
+        )
+        found = checked(tmp_path)[1]
+        assert found["thruster board"][1].startswith("heard; ")
+        assert found["baud rate"] == (
+            "warn", f"{mega.path}: the board speaks at 250000 baud, not at 115200 as configured: set the link to "
+            f"serial:{mega.path}:250000",
+        )  # fmt: skip
+        told = CliRunner().invoke(cli, ["params", "get", "CMD_AGE_MS", "--link", link])
+        assert told.stdout == "250\n"
+        assert mega.resets == 1 and mega.bytes_in_bootloader == 0
+    finally:
+        mega.close()
 
 
 def test_a_router_without_a_station_is_told_from_a_station(tmp_path: Path) -> None:

@@ -58,6 +58,10 @@ def test_a_robot_that_is_well_arms() -> None:
          "the thruster board restarted at 0.20 m and took its depth zero there: restart it in air; or, if it was in air, "
          "confirm that on the robot with `robot-agent confirm-zero`"),
         (replace(WELL, telemetry=replace(BOARD, power_on_depth_m=0.04)), STATION, ""),
+        (replace(WELL, telemetry=replace(BOARD, zero_in_question=True)), STATION,
+         "the thruster board restarted, and its depth zero is in question: confirm it on the robot with "
+         "`robot-agent confirm-zero`, or in air have it taken anew with `robot-agent confirm-zero --in-air`"),
+        (replace(WELL, telemetry=replace(BOARD, restarted=True, reset_causes=("watchdog",))), STATION, ""),
         (replace(WELL, pose=None), STATION, "the last pose is inf s old"),
         (replace(WELL, pose=StampedPose(POSE, NOW_NS - 200 * MS)), STATION, "the last pose is 0.20 s old"),
         (replace(WELL, pose=StampedPose(replace(POSE, track=Track.COAST), NOW_NS)), STATION, "the last pose is inf s old"),

@@ -14,7 +14,11 @@ from typing import Any
 import pytest
 
 from shoal.errors import ConfigError
-from shoal.mavlink.board_port import READ_DATAGRAMS, Address, SerialLink, UdpLink, open_link, parse_link
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.board_address import Address, parse_link
+from shoal.mavlink.board_port import READ_DATAGRAMS, SETTLE_S, SerialLink, UdpLink, open_link
+
+FRAME = AgentLink(1).heartbeat()
 
 
 def read_for(link: UdpLink | SerialLink, wanted: bytes, timeout_s: float = 5.0) -> bytes:
@@ -24,6 +28,13 @@ def read_for(link: UdpLink | SerialLink, wanted: bytes, timeout_s: float = 5.0) 
         link.wait(0.05)
         got += link.read()
     return got
+
+
+def hear_board(link: SerialLink, controller: int) -> None:
+    """Have a board's frame come, without which nothing is sent."""
+    time.sleep(SETTLE_S)
+    os.write(controller, FRAME)
+    assert FRAME in read_for(link, FRAME)
 
 
 def test_udp_carries_bytes_both_ways_and_survives_a_board_that_comes_late() -> None:
@@ -103,6 +114,7 @@ def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path:
     link = open_link(f"serial:{plug}:57600")
     assert isinstance(link, SerialLink)
     try:
+        hear_board(link, controller)
         link.send(b"pulses")
         assert os.read(controller, 100) == b"pulses"
         os.write(controller, b"burst")
@@ -117,6 +129,7 @@ def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path:
         controller, device = pty.openpty()
         plug.symlink_to(os.ttyname(device))
         link.read()
+        hear_board(link, controller)
         link.send(b"again")
         assert os.read(controller, 100) == b"again"
         assert link.trouble == ""
@@ -130,6 +143,8 @@ def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path:
 def test_sending_to_a_board_that_does_not_read_does_not_block() -> None:
     controller, device = pty.openpty()
     link = open_link(f"serial:{os.ttyname(device)}")
+    assert isinstance(link, SerialLink)
+    hear_board(link, controller)
     signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits for the board"))
     signal.alarm(10)
     try:
@@ -196,6 +211,7 @@ def test_a_frame_that_the_port_takes_half_of_is_not_cut(monkeypatch: pytest.Monk
         return real(descriptor, data[:taken])
 
     try:
+        hear_board(link, ours)
         monkeypatch.setattr("shoal.mavlink.board_port.os.write", write)
         link.send(b"one two ")
         link.send(b"is dropped whole ")

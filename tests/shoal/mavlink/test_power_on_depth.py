@@ -37,3 +37,33 @@ def test_the_link_reports_where_a_board_was_switched_on() -> None:
     for board_ms, depth_m in ((9000, 0.2), (9050, 0.2), (20, 0.0), (40, 0.0)):
         link.receive(board.pressure(board_ms, depth_m) + board.attitude(board_ms, 0.0, 0.0), 0)
     assert link.telemetry.power_on_depth_m == pytest.approx(0.2, abs=1e-3)
+
+
+def test_nothing_is_guessed_about_a_board_that_reports_how_its_lives_begin() -> None:
+    power_on = told((9000, 1.5), (20, 0.0), (40, 0.0))
+    assert power_on.depth_m == 1.5
+    power_on.note_start_report()
+    assert power_on.depth_m == 0.0
+    power_on.note_burst(20, 1.5)
+    power_on.note_burst(40, 1.5)
+    assert power_on.depth_m == 0.0
+
+
+def test_a_depth_that_was_set_stays_until_the_next_restart() -> None:
+    power_on = told((9000, 0.0))
+    power_on.set_depth(0.4)
+    power_on.note_burst(9020, 0.1)
+    assert power_on.depth_m == 0.4
+
+
+def test_the_link_reports_how_the_boards_life_began() -> None:
+    link, board = AgentLink(1), BoardLink(1)
+    link.receive(board.heartbeat(armed=False, healthy=True, status=0x30A), 0)
+    seen = link.telemetry
+    assert seen.reset_causes == ("reset pin", "watchdog") and seen.restarted and seen.zero_in_question
+    for board_ms, depth_m in ((9000, 0.2), (9050, 0.2), (20, 0.2), (40, 0.2)):
+        link.receive(board.pressure(board_ms, depth_m) + board.attitude(board_ms, 0.0, 0.0), 0)
+    assert link.telemetry.power_on_depth_m == 0.0
+    link.receive(board.heartbeat(armed=False, healthy=True), 0)
+    seen = link.telemetry
+    assert seen.reset_causes == ("power-on",) and not seen.restarted and not seen.zero_in_question

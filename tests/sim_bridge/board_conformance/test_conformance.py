@@ -285,8 +285,8 @@ def _hil_ignored(self: ThrusterBoard, now_ns: int) -> None:
     return None
 
 
-def _hil_untold(self: BoardLink, armed: bool, healthy: bool, hil: bool) -> bytes:
-    return Link_heartbeat(self, armed, healthy, False)
+def _hil_untold(self: BoardLink, armed: bool, healthy: bool, hil: bool, status: int) -> bytes:
+    return Link_heartbeat(self, armed, healthy, False, status)
 
 
 def _motion_of_any_age(self: SimulatedSensors, now_ns: int) -> Any:

@@ -12,7 +12,6 @@ from socket import SOCK_DGRAM
 import numpy as np
 import pytest
 
-from robot_agent.host.params import set_one
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink
@@ -34,7 +33,7 @@ STILL = np.zeros(4)
 NEUTRAL, AHEAD = (1500,) * 8, (1600, 1600, 1600, 1600, 1500, 1500, 1500, 1500)
 
 
-class Tapped:
+class Tapped(Link):
     """A link to a board, with the requests to arm that were sent over it."""
 
     def __init__(self, link: Link) -> None:
@@ -98,7 +97,6 @@ def flying(kind: str, folder: Path) -> Iterator[tuple[HilPool, "subprocess.Popen
     """A board in HIL mode that is armed and follows."""
     ours, theirs = address(kind, folder)
     with board(ours, folder / "kept") as process:
-        set_one("HIL_MODE", 1.0, theirs)
         link, _ = connect(1, theirs, None, insecure=False)
         try:
             pool = HilPool(theirs, link)
@@ -188,7 +186,6 @@ def test_a_signed_board_flies_with_its_key_and_says_why_without(tmp_path: Path, 
     key, (ours, theirs) = folder / "robot-1.key", address("pty", tmp_path)
     new_key(key)
     with board(ours, folder):
-        set_one("HIL_MODE", 1.0, theirs, key=key)
         with pytest.raises(ConfigError, match="a board is heard that signs"):
             connect(1, theirs, None, insecure=False)
         link, signing = connect(1, theirs, key, insecure=False)
@@ -243,7 +240,6 @@ def test_the_command_ends_with_the_reason_when_a_board_is_killed(tmp_path: Path)
     hil = ["sim_bridge", "hil", "pool", "--poses", "--station", station, "--ports", str(free_base_port((1, 2)))]
     started: list[subprocess.Popen[bytes]] = []
     with board(ours, tmp_path / "kept") as process, log.open("wb") as output:
-        set_one("HIL_MODE", 1.0, theirs)
         try:
             started.append(subprocess.Popen([sys.executable, "-m", *run], stderr=subprocess.DEVNULL))
             started.append(subprocess.Popen([sys.executable, "-m", *hil, "--board", f"1={theirs}"], stderr=output))

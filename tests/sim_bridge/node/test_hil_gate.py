@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from shoal.config.experiment import load_experiment
 from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.board_port import Link
 from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.node.hil_board import HilBoard
 from sim_bridge.thruster_board.board import ThrusterBoard
@@ -16,7 +17,7 @@ STEP_NS = 5_000_000
 TORN = bytes([0xFD, 255, 0, 0, 0, 1, 190]) + (131).to_bytes(3, "little")  # a header that promises 255 bytes more
 
 
-class Cable:
+class Cable(Link):
     """The link to a board in HIL mode, which steps with the simulator."""
 
     trouble = ""

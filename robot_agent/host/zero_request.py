@@ -1,0 +1,107 @@
+"""SHELL: a person's word about the thruster board's depth zero, from `robot-agent confirm-zero` to the board.
+
+The robot's program has the board's port. So the command puts a request into the folder where the service keeps its state; the
+program sends it to the board and takes the file away once the board has acknowledged it. If nobody takes it, the command opens
+the link itself.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from robot_agent.host.config import AgentConfig, open_board_link
+from shoal.errors import ConfigError
+from shoal.mavlink.agent_link import ACCEPTED, CALIBRATE, UNSUPPORTED, AgentLink
+from shoal.mavlink.signing_key import agent_end
+from shoal.runtime.output_files import replace_text
+from shoal.system.regular_files import read_regular
+
+FILE = "zero-request"
+KEPT, AIR = "kept", "air"  # what is kept is right; the robot is in air, take the zero anew
+MOST_BYTES = 100
+LOOK_S = 0.5  # of the robot's program at the folder; and how often the board is told again
+WITHIN_S = 4.0  # for the robot's program, and for the board, beyond what it needs before it speaks
+
+
+class ZeroRequests:
+    """The requests that come to a robot's program."""
+
+    def __init__(self, folder: Path | None, now_s: Callable[[], float] = time.monotonic) -> None:
+        """Without a `folder` none come."""
+        self._folder, self._now_s, self._looked_s = folder, now_s, -LOOK_S
+        self._before = 0  # acknowledgements of the board when it was first told; meaningful while a request is open
+        self._open = ""
+
+    def step(self, link: AgentLink) -> bytes:
+        """Frame for the board, empty if there is none to send now. Ends a request that the board has acknowledged."""
+        now_s, seen = self._now_s(), link.telemetry
+        if self._folder is None or now_s - self._looked_s < LOOK_S:
+            return b""
+        self._looked_s = now_s
+        asked = self._read()
+        if not asked or asked != self._open:
+            self._open, self._before = asked, seen.acknowledgements
+        elif seen.acknowledgements > self._before and seen.acknowledged in ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED)):
+            link.set_zero(0.0)  # of a board that does not report its restarts
+            self._end()
+            return b""
+        return link.calibrate(pressure=asked == AIR) if asked else b""
+
+    def _read(self) -> str:
+        assert self._folder is not None
+        try:
+            path = self._folder / FILE
+            if time.time() - path.stat().st_mtime > 2.0 * WITHIN_S:
+                return ""  # its command has ended
+            asked = read_regular(path, MOST_BYTES).decode("ascii", "replace").strip()
+        except (OSError, ValueError):
+            return ""
+        return asked if asked in (KEPT, AIR) else ""
+
+    def _end(self) -> None:
+        assert self._folder is not None
+        self._open = ""
+        with suppress(OSError):
+            (self._folder / FILE).unlink()
+
+
+def ask_program(folder: Path, in_air: bool) -> bool:
+    """Have the robot's program send the request. False if none takes it up. Raises OSError."""
+    if not folder.is_dir():
+        return False
+    path = folder / FILE
+    replace_text(path, AIR if in_air else KEPT, durable=False)
+    try:
+        end_s = time.monotonic() + WITHIN_S
+        while path.exists() and time.monotonic() < end_s:
+            time.sleep(0.05)
+        return not path.exists()
+    finally:
+        with suppress(OSError):
+            path.unlink()
+
+
+def tell_board(config: AgentConfig, in_air: bool) -> bool:
+    """Send the request over the link. False for a board that knows no such command. Raises ConfigError if it refuses."""
+    wires, signing = open_board_link(config)
+    mavlink = agent_end(config.robot, signing)
+    try:
+        end_s, told_s = time.monotonic() + WITHIN_S + wires.first_word_s, 0.0
+        while time.monotonic() < end_s:
+            if time.monotonic() - told_s > LOOK_S:
+                told_s = time.monotonic()
+                wires.send(mavlink.heartbeat())
+                if mavlink.telemetry.is_thruster_board:
+                    wires.send(mavlink.calibrate(pressure=in_air))
+            wires.wait(0.05)
+            mavlink.receive(wires.read(), time.monotonic_ns())
+            answer = mavlink.telemetry.acknowledged
+            if answer in ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED)):
+                return answer[1] == ACCEPTED
+            if answer is not None and answer[0] == CALIBRATE:
+                said = mavlink.telemetry.texts[-1][1] if mavlink.telemetry.texts else f"MAV_RESULT {answer[1]}"
+                raise ConfigError(f"{config.link}: the board refuses: {said}")
+        raise ConfigError(f"{config.link}: {wires.trouble or 'the board does not answer'}")
+    finally:
+        wires.close()

@@ -1,0 +1,217 @@
+"""Resets of the Arduino Mega in simavr, in air and under water: thrust ends within 0.3 s, zeros survive, orders count once."""
+
+import random
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from shoal.mavlink.agent_link import AgentLink, Telemetry
+from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.signing import Key
+from tests.firmware.mega import Mega, Reset
+from tests.firmware.pilot import STEP_NS, Pilot
+
+pytestmark = pytest.mark.long
+
+NEUTRAL_US, THRUST_S = 1500.0, 0.3  # of thrust that nobody asked for, at the most
+DEPTH_M, BIAS_RADPS = 1.0, 0.05
+FIRST_WORD_S = 1.5  # of a board with the stock bootloader, if nothing is sent to it
+KEY = Key(bytes(range(1, 33)))
+OLD, NEW = 4000.0, 4321.0  # of the parameter that is set
+CUTS, MANY_CUTS, LONGEST_S = 12, 1000, 1.2  # power cuts, and when after an order: a record of settings takes 0.9 s
+
+
+@pytest.fixture
+def mega() -> Iterator[Mega]:
+    board = Mega()
+    yield board
+    board.close()
+
+
+def settle(mega: Mega, depth_m: float = DEPTH_M) -> Pilot:
+    """A board that was switched on in air, at rest with a bias, and is under water and armed by now."""
+    pilot = Pilot(mega)
+    mega.measure(0.0, BIAS_RADPS)
+    pilot.run(2.2)  # 64 rates, and their way into the memory
+    mega.measure(depth_m, BIAS_RADPS)
+    pilot.run(0.3)
+    assert abs(pilot.link.telemetry.depth_m - depth_m) < 0.02 and abs(pilot.link.telemetry.yaw_rate_radps) < 0.01
+    return pilot
+
+
+def restart(mega: Mega, cause: str) -> None:
+    """A reset, with what it costs."""
+    if cause == "power":
+        mega.lose_power()
+    elif cause == "watchdog":
+        mega.hang(True)
+    else:
+        mega.reset({"pin": Reset.PIN, "brown-out": Reset.BROWN_OUT}[cause])
+
+
+def after(mega: Mega) -> Telemetry:
+    """Telemetry of the board's new life, as a program that begins to listen sees it."""
+    listener = Pilot(mega)
+    listener._now_ns = round(mega.now_us * 1000.0)
+    listener.run(1.5)
+    return listener.link.telemetry
+
+
+@pytest.mark.parametrize(
+    ("cause", "told"),
+    [
+        ("pin", "reset pin"),
+        ("brown-out", "brown-out"),
+        ("watchdog", "watchdog"),
+        ("power", "power-on"),
+    ],
+)
+def test_a_reset_under_water_stops_the_thrust_keeps_the_zeros_and_is_reported(mega: Mega, cause: str, told: str) -> None:
+    pilot = settle(mega)
+    pilot.arm()
+    pilot.run(0.2, *[1560] * 4)
+    mega.pulses()
+    begun_us = mega.now_us
+    restart(mega, cause)
+    pilot.run(0.16, *[1560] * 4)  # the computer goes on as before
+    mega.hang(False)
+    pilot.run(0.6, *[1560] * 4)
+    turning = [pulse for pulses in mega.pulses()[:4] for pulse in pulses if abs(pulse.width_us - NEUTRAL_US) > 1.0]
+    assert max((pulse.begin_us + pulse.width_us - begun_us for pulse in turning), default=0.0) < THRUST_S * 1e6
+    seen = after(mega)
+    assert not seen.armed and told in seen.reset_causes and seen.restarted
+    assert abs(seen.depth_m - DEPTH_M) < 0.02 and abs(seen.yaw_rate_radps) < 0.01
+    assert seen.zero_in_question  # no pressure near that of the surface has come
+
+
+def test_a_power_on_in_air_takes_the_zeros_anew(mega: Mega) -> None:
+    settle(mega)
+    mega.measure(0.0, 2 * BIAS_RADPS, air_hpa=-8.0)
+    mega.lose_power()
+    seen = after(mega)
+    assert not seen.restarted and not seen.zero_in_question
+    assert abs(seen.depth_m) < 0.01
+    assert abs(after(mega).yaw_rate_radps) < 0.01
+
+
+def test_a_reset_in_air_is_not_in_question(mega: Mega) -> None:
+    settle(mega)
+    mega.measure(0.0)
+    mega.reset(Reset.PIN)
+    seen = after(mega)
+    assert seen.restarted and not seen.zero_in_question
+
+
+def test_a_person_confirms_a_zero_or_has_it_taken_anew(mega: Mega) -> None:
+    settle(mega)
+    for in_air, depth_m in ((False, DEPTH_M), (True, 0.0)):
+        mega.reset(Reset.PIN)
+        pilot = Pilot(mega)
+        pilot._now_ns = round(mega.now_us * 1000.0)
+        pilot.run(1.0)
+        assert pilot.link.telemetry.zero_in_question
+        pilot.send(pilot.link.calibrate(pressure=in_air))
+        pilot.run(1.0)
+        assert not pilot.link.telemetry.zero_in_question and pilot.link.telemetry.restarted
+        assert abs(pilot.link.telemetry.depth_m - depth_m) < 0.02
+
+
+def test_the_stock_bootloader_starts_the_firmware_only_while_nothing_is_sent(mega: Mega) -> None:
+    """After a reset by DTR, too. A computer that goes on sending holds the bootloader: so it must not (board_port.py)."""
+    settle(mega)
+    mega.load_bootloader()
+    mega.reset(Reset.PIN)
+    seen = Pilot(mega)
+    seen._now_ns = round(mega.now_us * 1000.0)
+    seen.run(FIRST_WORD_S)
+    assert seen.link.telemetry.heartbeats and seen.link.telemetry.reset_causes == ()  # the bootloader has cleared MCUSR
+    assert seen.link.telemetry.restarted and abs(seen.link.telemetry.depth_m - DEPTH_M) < 0.02
+    mega.reset(Reset.PIN)
+    sending = Pilot(mega)
+    sending._now_ns = round(mega.now_us * 1000.0)
+    sending.run(3.0, *[1500] * 4)
+    assert mega.is_in_bootloader and not sending.link.telemetry.heartbeats
+
+
+class CutBoard:
+    """A signed board whose power fails at any instant, and its computer, which remembers what it has sent."""
+
+    def __init__(self) -> None:
+        self.mega = Mega()
+        pilot = Pilot(self.mega)
+        pilot.run(1.0)
+        pilot.send(ParameterClient(1).set("SLEW_US_S", OLD))
+        pilot.run(2.5)
+        pilot.send(ParameterClient(1).give(KEY, 500))
+        pilot.run(2.5)
+        self._keyed = self.mega.eeprom
+
+    def cut(self, draw: random.Random) -> tuple[bool, bool, float]:
+        """Orders, a loss of power at a random instant, and all that was sent once more. Returns whether the board was armed
+        before, and after, and the parameter's value."""
+        mega, stamp = self.mega, 100_000
+        mega.lose_power()
+        mega.eeprom = self._keyed
+        mega.reset(Reset.POWER_ON)
+        pilot, client = Pilot(mega, KEY), ParameterClient(1, KEY, lambda: stamp)
+        pilot._now_ns = round(mega.now_us * 1000.0)
+        pilot.run(0.4)
+        sent: list[bytes] = []
+
+        def say(frame: bytes) -> None:
+            sent.append(frame)
+            pilot.send(frame)
+
+        orders: list[Callable[[], bytes]] = [
+            lambda: client.set("SLEW_US_S", NEW),
+            lambda: pilot.link.arm(True),
+            pilot.link.calibrate,
+        ]
+        order = draw.choice(orders)
+        cut_s = draw.uniform(0.0, LONGEST_S)
+        for count in range(round(cut_s * 1e9) // STEP_NS + 1):
+            if count % 10 == 0:
+                say(pilot.link.pulses([1500] * 8))
+            if count == 5:
+                say(order())
+            pilot.step()
+        pilot.run(draw.uniform(0.0, 0.005))
+        armed = pilot.link.telemetry.armed
+        mega.lose_power(torn=draw.choice([0xFF, 0x00, draw.randrange(256)]))
+        listener = AgentLink(1, KEY, lambda: 1)
+        for frame in sent:  # somebody who has recorded it
+            mega.receive(frame, 0)
+            for _ in range(5):
+                pilot._now_ns += STEP_NS
+                listener.receive(mega.step(pilot._now_ns), pilot._now_ns)
+        armed_again = listener.telemetry.armed
+        stamp = 10_000_000
+        for _ in range(40):
+            mega.receive(client.ask("SLEW_US_S"), 0)
+            for _ in range(4):
+                pilot._now_ns += STEP_NS
+                client.receive(mega.step(pilot._now_ns), pilot._now_ns)
+            if "SLEW_US_S" in client.values:
+                break
+        return armed, armed_again, client.values["SLEW_US_S"]
+
+
+def cut_often(count: int) -> None:
+    board, draw, armed = CutBoard(), random.Random(4), 0
+    for at in range(count):
+        before, again, value = board.cut(draw)
+        assert not (before and again), at
+        assert value in (OLD, NEW), at
+        armed += before
+    assert armed > count // 20  # some orders had come through
+    assert board.mega.eeprom_counts()[1] == 0  # none of its bytes was touched while one was being written
+    board.mega.close()
+
+
+def test_no_order_counts_twice_and_no_setting_is_torn_wherever_the_power_fails() -> None:
+    cut_often(CUTS)
+
+
+@pytest.mark.slow
+def test_no_order_counts_twice_at_a_thousand_power_cuts() -> None:
+    cut_often(MANY_CUTS)

@@ -1,0 +1,123 @@
+"""A person confirms a board's depth zero: through the robot's program, or over the link while none runs."""
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from robot_agent.__main__ import cli
+from robot_agent.host import zero_request
+from robot_agent.node import AgentNode, StepTime
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.board_port import Link
+from shoal.runtime.runtime import Stop
+from sim_bridge.thruster_board.board import ThrusterBoard
+from sim_bridge.thruster_board.sensor_zero import BoardStart, ResetCause, SensorZero, Zeros
+
+POOL = load_experiment("pool")
+STEP_NS = 50_000_000
+STILL, DEEP = np.zeros(4), np.array([0.0, 0.0, 0.5, 0.0])
+
+
+class RestartedBoard(Link):
+    """The reference board 0.5 m under water, which a brown-out has restarted; it makes a step each time that it is read."""
+
+    trouble = advice = ""
+    first_word_s = 0.0
+
+    def __init__(self) -> None:
+        start = BoardStart(int(ResetCause.BROWN_OUT), False, Zeros(0.0))
+        self.board, self._now_ns = ThrusterBoard(POOL, 1, 1, zero=SensorZero(start)), 0
+
+    def send(self, data: bytes) -> None:
+        self.board.receive(data, self._now_ns)
+
+    def read(self) -> bytes:
+        data = b""
+        for _ in range(10):  # 5 ms each
+            self._now_ns += STEP_NS // 10
+            data += self.board.step(self._now_ns, DEEP, STILL, STILL)
+        return data
+
+    def wait(self, timeout_s: float) -> None: ...
+    def close(self) -> None: ...
+
+
+@pytest.fixture
+def agent_toml(tmp_path: Path) -> Path:
+    path = tmp_path / "agent.toml"
+    path.write_text('robot = 1\nexperiment = "pool"\nstation = "tcp/127.0.0.1:9"\nlink = "udp:127.0.0.1:9"\n')
+    return path
+
+
+@pytest.fixture
+def stepping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[AgentNode]:
+    """A robot's program, which is stepped in a thread, with a folder for its state."""
+    (tmp_path / "state").mkdir()
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    monkeypatch.setattr(zero_request, "LOOK_S", 0.02)
+    node = AgentNode(POOL, 1, Bus(MemoryTransport(MemoryHub())), RestartedBoard(), Stop(install=False))
+    ended = threading.Event()
+
+    def steps() -> None:
+        now_ns = 0
+        while not ended.wait(0.01):
+            now_ns += STEP_NS
+            node.step(now_ns, StepTime(now_ns))
+
+    for count in range(1, 21):  # until the board has measured the pressure, and said so
+        node.step(count * STEP_NS, StepTime(count * STEP_NS))
+    thread = threading.Thread(target=steps, daemon=True)
+    thread.start()
+    yield node
+    ended.set()
+    thread.join()
+
+
+def refusal(node: AgentNode) -> str:
+    inputs = node.agent.inputs
+    now_ns = inputs.telemetry.arrival_ns
+    return node.agent._health.arming_refusal(inputs, inputs.station.__class__(7, now_ns, 0.03), now_ns)
+
+
+def confirm(config: Path, state: Path, *options: str) -> str:
+    done = CliRunner().invoke(cli, ["confirm-zero", "--config", str(config), "--state", str(state), *options])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.mark.parametrize(("options", "depth_m"), [((), 0.5), (("--in-air",), 0.0)])
+def test_the_robots_program_does_not_arm_in_question_and_passes_the_confirmation_on(
+    stepping: AgentNode, agent_toml: Path, tmp_path: Path, options: tuple[str, ...], depth_m: float
+) -> None:
+    assert "in question" in refusal(stepping)
+    confirm(agent_toml, tmp_path / "state", *options)
+    for _ in range(40):
+        if "in question" not in refusal(stepping):
+            break
+        threading.Event().wait(0.1)
+    assert "in question" not in refusal(stepping)
+    assert stepping.agent.inputs.telemetry.depth_m == pytest.approx(depth_m, abs=0.05)
+    assert stepping.mavlink.telemetry.restarted
+    assert not (tmp_path / "state" / zero_request.FILE).exists()
+
+
+def test_without_a_program_the_command_tells_the_board_itself(
+    agent_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wires = RestartedBoard()
+    while wires.board.zero.status & 0x200 and wires._now_ns < 20 * STEP_NS:
+        wires.read()
+    assert wires.board.zero.is_in_question
+    monkeypatch.setattr(zero_request, "WITHIN_S", 1.0)
+    monkeypatch.setattr(zero_request, "LOOK_S", 0.02)
+    monkeypatch.setattr(zero_request, "open_board_link", lambda config: (wires, None))
+    (tmp_path / "state").mkdir()  # of a service that does not run
+    confirm(agent_toml, tmp_path / "state")
+    assert not wires.board.zero.is_in_question
+    assert list((tmp_path / "state").iterdir()) == []
