@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.robot_agent.control_peer import in_place_of_ours, print_rows
-from robot_agent.control.qp import Solution
+from benchmarks.robot_agent.control_peer import Solution, in_place_of_ours, print_rows
 from shoal.frames import Array
 
 cp: Any = importlib.import_module("cvxpy")
@@ -23,17 +22,14 @@ class Cvxpy:
         self._problem = cp.Problem(cp.Minimize(cost), [self._a @ self._x >= self._low, self._a @ self._x <= self._high])
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
-        """See robot_agent.control.qp.Solver."""
+        """See `Solver`."""
         self._root.value = np.linalg.cholesky(p + 1e-9 * np.eye(len(p))).T
         self._q.value, self._low.value, self._high.value = q, lower, upper
         if a is not None:
             self._a.value = a
         self._problem.solve(solver=cp.OSQP, warm_start=True, eps_abs=1e-4, eps_rel=1e-4, max_iter=10000)
         solved = self._problem.status in ("optimal", "optimal_inaccurate")
-        return Solution(np.array(self._x.value) if solved else np.zeros(len(q)), solved, 0)
-
-    def warm_start(self, x: Array, multipliers: Array) -> None:
-        """Do nothing: it starts from its last solution."""
+        return Solution(np.array(self._x.value) if solved else np.zeros(len(q)), solved)
 
 
 print_rows("cvxpy, OSQP", in_place_of_ours(Cvxpy))

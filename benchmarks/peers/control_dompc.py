@@ -86,10 +86,6 @@ class DoMpc:
         mpc.bounds["lower", "_x", "wrench"] = -np.array(self._limits.wrench)
         mpc.bounds["upper", "_x", "wrench"] = np.array(self._limits.wrench)
 
-    def predicted_path(self, state: State | Array) -> Array:
-        """Nothing: no robot is near."""
-        return np.tile(state[:4], (self._horizon + 1, 1))
-
     def plan(
         self,
         state: State | Array,

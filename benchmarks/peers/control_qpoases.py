@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.robot_agent.control_peer import in_place_of_ours, print_rows
-from robot_agent.control.qp import Solution
+from benchmarks.robot_agent.control_peer import Solution, in_place_of_ours, print_rows
 from shoal.frames import Array
 
 ca: Any = importlib.import_module("casadi")
@@ -21,18 +20,14 @@ class QpOases:
         self._n, self._a, self._last = n, np.zeros((rows - n, n)), np.zeros(n)
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
-        """See robot_agent.control.qp.Solver."""
+        """See `Solver`."""
         n = self._n
         if a is not None:
             self._a = a[n:]
         out = self._solver(h=p, g=q, a=self._a, lba=lower[n:], uba=upper[n:], lbx=lower[:n], ubx=upper[:n], x0=self._last)
         solved = bool(self._solver.stats()["success"])
         self._last = np.array(out["x"]).ravel() if solved else np.zeros(n)
-        return Solution(self._last.copy(), solved, 0)
-
-    def warm_start(self, x: Array, multipliers: Array) -> None:
-        """See robot_agent.control.qp.Solver."""
-        self._last = x
+        return Solution(self._last.copy(), solved)
 
 
 print_rows("CasADi, qpOASES", in_place_of_ours(QpOases))

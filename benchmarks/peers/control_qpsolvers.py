@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from benchmarks.robot_agent.control_peer import in_place_of_ours, print_rows
-from robot_agent.control.qp import Solution
+from benchmarks.robot_agent.control_peer import Solution, in_place_of_ours, print_rows
 from shoal.frames import Array
 
 qpsolvers: Any = importlib.import_module("qpsolvers")
@@ -21,7 +20,7 @@ class QpSolvers:
         self._g = sparse.csc_matrix((2 * (rows - n), n))
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
-        """See robot_agent.control.qp.Solver."""
+        """See `Solver`."""
         n = self._n
         if a is not None:
             self._g = sparse.csc_matrix(np.vstack([a[n:], -a[n:]]))
@@ -30,13 +29,9 @@ class QpSolvers:
             sparse.csc_matrix(p), q, self._g, h, lb=lower[:n], ub=upper[:n], solver="osqp", initvals=self._last, eps_abs=1e-4
         )
         if x is None:
-            return Solution(np.zeros(n), False, 0)
+            return Solution(np.zeros(n), False)
         self._last = x
-        return Solution(x, True, 0)
-
-    def warm_start(self, x: Array, multipliers: Array) -> None:
-        """See robot_agent.control.qp.Solver."""
-        self._last = x
+        return Solution(x, True)
 
 
 print_rows("qpsolvers, OSQP", in_place_of_ours(QpSolvers))

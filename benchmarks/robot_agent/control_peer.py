@@ -4,13 +4,32 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
 
 from benchmarks.robot_agent.control_loop import Case, fly
 from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
-from robot_agent.control.qp import Solver
+from robot_agent.guidance.formation import HalfSpaces
 from shoal.config.experiment import Experiment
+from shoal.frames import Array
+
+
+class Solution(NamedTuple):
+    """`x` is meaningful only if `solved`."""
+
+    x: Array
+    solved: bool
+
+
+class Solver(Protocol):
+    """A peer's solver."""
+
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
+        """Solve min 1/2 x'Px + q'x with lower <= Ax <= upper, the first rows of A those of the identity. `a` None: as it
+        was."""
+
 
 MakeSolver = Callable[[int, int], Solver]  # unknowns, rows
 
@@ -37,7 +56,16 @@ def in_place_of_ours(make: MakeSolver) -> Callable[[AnyController, Experiment], 
         size = 3 * len(experiment.controller.mpc.blocks)
         assert isinstance(controller, Controller)
         mpc: Any = controller._law
-        mpc._plain_solver = make(size, 2 * size)  # it has A from the first solve on
-        mpc._plain_solver.solve(mpc._p, mpc._q[:size], mpc._a, mpc._lower[: 2 * size], mpc._upper[: 2 * size])
+        program, found, solver = mpc._program, mpc._found, make(size, 2 * size)  # without half-spaces and their slack
+        told: list[Array | None] = [np.ascontiguousarray(program.a[: 2 * size, :size])]
+
+        def solve(keep_clear: HalfSpaces) -> int:
+            p, q = np.ascontiguousarray(program.p[:size, :size]), program.q[:size].copy()
+            a, told[0] = told[0], None
+            solution = solver.solve(p, q, a, program.lower[: 2 * size].copy(), program.upper[: 2 * size].copy())
+            found.x[:size], found.x[size] = solution.x, 0.0
+            return int(solution.solved)
+
+        mpc._solve = solve
 
     return tamper

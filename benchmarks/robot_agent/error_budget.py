@@ -76,11 +76,10 @@ class KnowingEstimator(Estimator):
             current = 0j
         carried = current * complex(math.cos(eta[3]), -math.sin(eta[3]))
         through = nu - [carried.real, carried.imag, 0.0, 0.0]
-        model, water = self._model, (current.real, current.imag)
+        state, water = (*eta.tolist(), *through.tolist(), *thrust), (current.real, current.imag)
         action = propagate(
-            model.coefficients, model.sway, model.lag_s, (*eta.tolist(), *through.tolist(), *thrust), tuple(gamma.tolist()),
-            water, self._acts_ns, self._wrenches, self._inputs, now_ns, now_ns + self._dead_ns,
-        )  # fmt: skip
+            self._model.motion, state, tuple(gamma.tolist()), water, self._commands(), now_ns, now_ns + self._dead_ns
+        )
         return estimate._replace(eta=eta, nu=nu, disturbance=gamma, current=current, action=np.array(action))
 
 

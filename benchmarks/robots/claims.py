@@ -11,7 +11,6 @@ import numpy as np
 
 from benchmarks.robots.water import TrueState
 from robot_agent.agent import Agent
-from robot_agent.vehicle.eso import Estimator
 from robot_agent.vehicle.filter_bank import CURRENT_X, CURRENT_Y, YAW, R, U, V, X, Y
 from robot_agent.vehicle.kalman import KalmanEstimator
 from shoal.frames import Array, wrap
@@ -34,16 +33,12 @@ class ObserverClaim(NamedTuple):
 def claim_of(agent: Agent) -> ObserverClaim | None:
     """The belief of a robot's observer; None if it has none, or claims nothing."""
     estimator: Any = getattr(agent.controller, "_estimator", None)  # no robot publishes its covariances
-    if not isinstance(estimator, Estimator) or not estimator._begun:
+    if not isinstance(estimator, KalmanEstimator) or not estimator._begun:
         return None
     belief = estimator._belief
-    if isinstance(estimator, KalmanEstimator):
-        mean, covariance = belief[[0, 1, 3, 4, 5, 7, 15, 16]], estimator._bank.mixed[np.ix_(CLAIMED, CLAIMED)]
-        count = len(KALMAN) if estimator._plant.sway else 3  # without sway there is no current, and v is 0
-        return ObserverClaim(estimator._at_ns, KALMAN[:count], mean[:count], covariance[:count, :count])
-    return ObserverClaim(
-        estimator._at_ns, ("x", "y", "u", "v"), belief[[0, 1, 4, 5]].copy(), estimator._covariance[:4, :4].copy()
-    )
+    mean, covariance = belief[[0, 1, 3, 4, 5, 7, 15, 16]], estimator._bank.mixed[np.ix_(CLAIMED, CLAIMED)]
+    count = len(KALMAN) if estimator._model.sway else 3  # without sway there is no current, and v is 0
+    return ObserverClaim(estimator._at_ns, KALMAN[:count], mean[:count], covariance[:count, :count])
 
 
 def nees(claim: ObserverClaim, truth: TrueState, i: int) -> dict[str, float]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from shoal.config.controller import EstimatorConfig, GuidanceConfig, MpcConfig
+from shoal.config.controller import EstimatorConfig, MpcConfig
 from shoal.config.experiment import Experiment
 from shoal.config.key_reference import hints
 from shoal.config.perception import Camera
@@ -100,7 +100,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
 @cache
 def _hints() -> dict[str, str]:
     """Meaning, range and default of the keys that panels show, by dotted key; of a path, of all its kinds together."""
-    controller = ((EstimatorConfig, "estimator"), (GuidanceConfig, "guidance"), (MpcConfig, "mpc"))
+    controller = ((EstimatorConfig, "estimator"), (MpcConfig, "mpc"))
     texts: dict[str, str] = {}
     for model, name in (
         (Route, "path"), (Waypoints, "path"), (Circle, "path"), (PoolConfig, "pool"), (FormationConfig, "formation"),

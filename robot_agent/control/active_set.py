@@ -4,21 +4,18 @@ The primal-dual active set method (Hintermueller, Ito, Kunisch 2003): hold the r
 let go the rows whose multiplier has the wrong sign, hold those that are violated, and again. Where nothing changes x is the
 exact solution. In flight the active set seldom changes, and is mostly empty, so one or two rounds do; but the method may
 cycle, and may hold rows that depend on one another. Then, or after ROUNDS, rows are taken up one by one, from none on, by the
-dual active set method (Goldfarb, Idnani 1983): it needs more time and always ends. What it cannot solve either is a backend's
-(qp.py).
+dual active set method (Goldfarb, Idnani 1983): it needs more time and always ends.
 
 With P = LL', V = L^-1 A' over the held rows and z = -L^-1 q:    V'V mu = V'z - bound        L'x = z - V mu
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from shoal.frames import Array
 from shoal.kernels.decorator import kernel
-
-Signs = NDArray[np.int64]  # (rows,) 1: held at the upper bound, -1: at the lower one, 0: not held
+from shoal.kernels.types import Cube, Floats, Ints, Table
 
 ROUNDS = 6  # of two robots too near to each other, 52 % of the steps with an active row take one, 84 % at most four
 # Rows taken up one by one, some more than once: of two robots too near to each other 8 at most under the linear law. Under the
@@ -29,8 +26,33 @@ DEPENDENT = 1e-9  # of a row's length that is new beside the held ones: less is 
 NO_BOUND = 1e30  # what all solvers take for infinity
 
 
-@kernel("b1(f8[:,::1], i8, f8[:,::1])", part=True)
-def factorise(p: Array, n: int, factor: Array) -> bool:
+class ConvexProgram(NamedTuple):
+    """The program min 1/2 x'Px + q'x with lower <= Ax <= upper."""
+
+    p: Table  # (n, n)
+    q: Floats
+    a: Table  # (rows, n)
+    lower: Floats
+    upper: Floats
+
+
+class ActiveSet(NamedTuple):
+    """Solution of a program, and what the next one begins with."""
+
+    x: Floats
+    multiplier: Floats  # (rows,) positive at the upper bound
+    held: Ints  # (rows,) 1: held at the upper bound, -1: at the lower one, 0: not held
+    work: Cube  # (4, n, n), overwritten
+    mu: Floats  # (n,), overwritten
+
+
+def make_active_set(n: int, rows: int) -> ActiveSet:
+    """Memory for so many unknowns and rows."""
+    return ActiveSet(np.zeros(n), np.zeros(rows), np.zeros(rows, np.int64), np.zeros((4, n, n)), np.zeros(n))
+
+
+@kernel(part=True)
+def factorise(p: Table, n: int, factor: Table) -> bool:
     """Cholesky's L, up to the diagonal of `factor` (n, n), of the upper triangle of P (n, n). False unless P is positive
     definite. Zeros above a column's first entry stay zero in L, and are passed over."""
     for i in range(n):
@@ -51,8 +73,8 @@ def factorise(p: Array, n: int, factor: Array) -> bool:
     return True
 
 
-@kernel("void(f8[:,::1], i8, f8[::1])", part=True)
-def forward(factor: Array, n: int, b: Array) -> None:
+@kernel(part=True)
+def forward(factor: Table, n: int, b: Floats) -> None:
     """Solve Lx = b (n,), in place."""
     for i in range(n):
         for k in range(i):
@@ -60,8 +82,8 @@ def forward(factor: Array, n: int, b: Array) -> None:
         b[i] /= factor[i, i]
 
 
-@kernel("void(f8[:,::1], i8, f8[::1])", part=True)
-def backward(factor: Array, n: int, b: Array) -> None:
+@kernel(part=True)
+def backward(factor: Table, n: int, b: Floats) -> None:
     """Solve L'x = b (n,), in place."""
     for i in range(n - 1, -1, -1):
         b[i] /= factor[i, i]
@@ -69,8 +91,8 @@ def backward(factor: Array, n: int, b: Array) -> None:
             b[k] -= factor[i, k] * b[i]
 
 
-@kernel("f8(f8[::1], f8[::1])", inline=True, part=True)
-def dot(a: Array, b: Array) -> float:
+@kernel(inline=True, part=True)
+def dot(a: Floats, b: Floats) -> float:
     """Sum of products of two vectors."""
     total = 0.0
     for i in range(len(a)):
@@ -78,14 +100,14 @@ def dot(a: Array, b: Array) -> float:
     return total
 
 
-@kernel("i8(f8[:,::1], f8[:,::1], i8[::1], f8[:,:,::1])", part=True)
-def factorise_held(factor: Array, a: Array, held: Signs, work: Array) -> int:
-    """Number of the rows `held`. Writes V' (held, n) into `work` (3, n, n), then V'V, then its factor. -1 if the held rows
+@kernel(part=True)
+def factorise_held(a: Table, found: ActiveSet) -> int:
+    """Number of the held rows. Writes V' (held, n) into `found.work[0]`, then V'V, then its factor. -1 if the held rows
     depend on one another."""
-    n, count = len(factor), 0
-    across, gram = work[0], work[1]
-    for row in range(len(held)):
-        if held[row] == 0:
+    n, count = len(found.x), 0
+    across, gram, factor = found.work[0], found.work[1], found.work[3]
+    for row in range(len(found.held)):
+        if found.held[row] == 0:
             continue
         if count == n:
             return -1
@@ -94,20 +116,20 @@ def factorise_held(factor: Array, a: Array, held: Signs, work: Array) -> int:
         for j in range(count + 1):
             gram[j, count] = dot(across[count], across[j])
         count += 1
-    return count if factorise(gram, count, work[2]) else -1
+    return count if factorise(gram, count, found.work[2]) else -1
 
 
-@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])", part=True)
-def minimise_held(
-    factor: Array, q: Array, a: Array, lower: Array, upper: Array, held: Signs, work: Array, mu: Array, x: Array, y: Array
-) -> bool:
-    """Minimum `x` (n,) with the rows `held` at their bounds, and multipliers `y` (rows,), zero for the others. False if the
-    held rows depend on one another. `work` is (3, n, n), `mu` (n,)."""
-    n, across, gram_factor = len(q), work[0], work[2]
+@kernel(part=True)
+def minimise_held(program: ConvexProgram, found: ActiveSet) -> bool:
+    """Write the minimum with the held rows at their bounds, and its multipliers, zero for the others. False if the held rows
+    depend on one another."""
+    q, lower, upper = program.q, program.lower, program.upper
+    x, y, held, mu = found.x, found.multiplier, found.held, found.mu
+    n, across, gram_factor, factor = len(q), found.work[0], found.work[2], found.work[3]
     for i in range(n):
         x[i] = -q[i]
     forward(factor, n, x)
-    count = factorise_held(factor, a, held, work)
+    count = factorise_held(program.a, found)
     if count < 0:
         return False
     count = 0
@@ -130,22 +152,21 @@ def minimise_held(
     return True
 
 
-@kernel("b1(f8[:,::1], f8[:,::1], i8[::1], i8, i8, f8, f8[:,:,::1], f8[::1], f8[::1], f8[::1])", part=True)
-def take_up(
-    factor: Array, a: Array, held: Signs, row: int, sign: int, beyond: float, work: Array, mu: Array, x: Array, y: Array
-) -> bool:
+@kernel(part=True)
+def take_up(a: Table, found: ActiveSet, row: int, sign: int, beyond: float) -> bool:
     """Bring a `row` that is `beyond` its bound, the upper one for `sign` 1, to that bound, and hold it. False if none can.
 
     Its multiplier grows by t: x += -t L'^-1 w, multipliers of the held rows += -t r with r = (V'V)^-1 V'v and w = v - V r,
     v = L^-1 a. A held row whose multiplier comes to zero before is let go.
     """
-    n, across, gram_factor = len(x), work[0], work[2]
+    x, y, held, mu = found.x, found.multiplier, found.held, found.mu
+    n, across, gram_factor, factor = len(x), found.work[0], found.work[2], found.work[3]
     aside = np.empty(n)
     while True:
         for i in range(n):
             aside[i] = sign * a[row, i]
         forward(factor, n, aside)
-        length2, count = dot(aside, aside), factorise_held(factor, a, held, work)
+        length2, count = dot(aside, aside), factorise_held(a, found)
         if count < 0:
             return False
         for j in range(count):
@@ -183,12 +204,12 @@ def take_up(
         held[leaves], y[leaves] = 0, 0.0
 
 
-@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])", part=True)
-def solve_one_by_one(
-    factor: Array, q: Array, a: Array, lower: Array, upper: Array, held: Signs, work: Array, mu: Array, x: Array, y: Array
-) -> bool:
-    """Solution `x` (n,) with multipliers `y` (rows,): from the minimum without rows on, the row that is farthest beyond its
-    bound is taken up, until none is. `held` becomes the active set. False if there is none."""
+@kernel(part=True)
+def solve_one_by_one(program: ConvexProgram, found: ActiveSet) -> bool:
+    """Solve from the minimum without rows on: the row that is farthest beyond its bound is taken up, until none is. False if
+    there is no solution."""
+    q, a, lower, upper = program.q, program.a, program.lower, program.upper
+    x, y, held, factor = found.x, found.multiplier, found.held, found.work[3]
     n = len(q)
     for row in range(len(held)):
         held[row], y[row] = 0, 0.0
@@ -209,31 +230,29 @@ def solve_one_by_one(
                     farthest, sign, beyond = row, -1, lower[row] - place
         if farthest < 0:
             return True
-        if not take_up(factor, a, held, farthest, sign, beyond, work, mu, x, y):
+        if not take_up(a, found, farthest, sign, beyond):
             return False
     return False
 
 
-@kernel("i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])")
-def solve_from(
-    p: Array, q: Array, a: Array, lower: Array, upper: Array, held: Signs, work: Array, mu: Array, x: Array, y: Array
-) -> int:
-    """Solution `x` (n,) with multipliers `y` (rows,), from the guess that the rows `held` are active; `held` becomes the
-    active set. `work` is (4, n, n), `mu` (n,).
+@kernel
+def solve_from(program: ConvexProgram, found: ActiveSet) -> int:
+    """Solve from the guess that the rows `found.held` are active; they become the active set.
 
     Returns the rounds that it took, ROUNDS + 1 if rows were taken up one by one; 0 if there is no solution, P is not positive
     definite, bounds cross, or a number is not finite.
     """
-    factor = work[3]
+    q, a, lower, upper = program.q, program.a, program.lower, program.upper
+    x, y, held, factor = found.x, found.multiplier, found.held, found.work[3]
     for row in range(len(held)):
         if not lower[row] <= upper[row]:
             return 0
         if (upper[row] if held[row] > 0 else -lower[row]) >= NO_BOUND:
             held[row] = 0
-    if not factorise(p, len(q), factor):
+    if not factorise(program.p, len(q), factor):
         return 0
     for taken in range(1, ROUNDS + 1):
-        if not minimise_held(factor, q, a, lower, upper, held, work[:3], mu, x, y):
+        if not minimise_held(program, found):
             break
         settled = True
         for row in range(len(held)):
@@ -247,5 +266,5 @@ def solve_from(
             settled &= right
         if settled:
             return taken if math.isfinite(dot(x, x)) else 0
-    solved = solve_one_by_one(factor, q, a, lower, upper, held, work[:3], mu, x, y) and math.isfinite(dot(x, x))
+    solved = solve_one_by_one(program, found) and math.isfinite(dot(x, x))
     return ROUNDS + 1 if solved else 0

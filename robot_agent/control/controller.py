@@ -21,17 +21,17 @@ the simulator's).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from robot_agent.control.heading import HeadingReference
-from robot_agent.control.law import Law, guidance_config, make_law
+from robot_agent.control.law import Law, heading_gain, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
-from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority, formation_reference
+from robot_agent.control.nonlinear.tuning import agility
+from robot_agent.guidance.formation import NOWHERE, Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle
-from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
+from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate
 from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import Deviations, Estimate, StateMeasurement
@@ -46,28 +46,6 @@ from shoal.messages.messages import Solve
 NS = 1_000_000_000
 KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step
 TURN = 2.0 * np.pi
-
-
-@kernel("f8(f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")
-def tell_from_now(
-    row: Array, eta: Array, planned: Array, path: Array, command: Array, goal: Array, told: Array, told_reference: Array
-) -> float:
-    """Plan for the neighbours, from now on at the command's instants: fractional rows `row` (nodes,) of the others. Returns
-    the distance from the `goal` (4,) now, m.
-
-    Poses: `eta` (4,) now, then `planned` (nodes, 4). Where they are meant to be: places of `path` and headings of `command`,
-    (nodes + 1, 4) each. That is without the formation's pull: neighbours who shared a deviation would else see less of it,
-    and the less the more of them there are.
-    """
-    for k in range(len(row)):
-        low = min(int(row[k]), len(planned) - 1)
-        share = row[k] - low
-        for c in range(4):
-            before, after = eta[c] if low == 0 else planned[low - 1, c], planned[low, c]
-            told[k, c] = before + share * (after - before)
-            meant = command if c == 3 else path
-            told_reference[k, c] = meant[low, c] + share * (meant[low + 1, c] - meant[low, c])
-    return math.sqrt((goal[0] - eta[0]) ** 2 + (goal[1] - eta[1]) ** 2 + (goal[2] - eta[2]) ** 2)
 
 
 @kernel("b1(UniTuple(f8[::1], 9), f8[:,::1], f8[:,::1])")
@@ -159,14 +137,6 @@ class ControlOutput(NamedTuple):
         return math.isfinite(numbers) and all_finite(vectors, self.plan_eta, self.plan_reference)
 
 
-@dataclass(frozen=True, eq=False)
-class GainSet:
-    """Other gains, with the MPC built for them; None for a law without MPC."""
-
-    config: ControllerConfig
-    mpc: Mpc | None
-
-
 class Controller:
     """One robot's controller with its memory and workspaces."""
 
@@ -184,29 +154,23 @@ class Controller:
     ) -> None:
         """`has_leader`: the one neighbour in the formation is the robot's leader. `room_m`: length and width of the pool; None
         without walls."""
-        horizon, period_s = config.mpc.horizon, config.period_s
-        self._vehicle, self._config, self._urgent, self._has_leader, self._islands = (
-            vehicle,
-            config,
-            urgent,
-            has_leader,
-            islands,
-        )
-        self._weight = np.array(config.mpc.q)
-        self._model = model = Model(vehicle, config.estimator.sway, config.law != "eso-mpc-article")
+        period_s, dead_s = config.period_s, vehicle.thruster.dead_time_s
+        self._config, self._urgent, self._weight = config, urgent, np.array(config.mpc.q)
+        self._is_article = config.law == "eso-mpc-article"
+        self._model = model = Model(vehicle, config.estimator.sway, not self._is_article)
         self._estimator = make_estimator(vehicle, model, config.estimator)
-        steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
-        nodes_s = vehicle.thruster.dead_time_s + steps_s
+        steps_s = period_s * np.arange(config.mpc.horizon + 1, dtype=np.float64)
+        nodes_s = dead_s + steps_s
         self.sampler = ReferenceSampler(nodes_s)
-        self.formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
-        self.formation.set_weight(self._formation_weight(config))
-        self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands, urgent=urgent)
+        self._has_leader = has_leader
+        self.formation = Formation(safety, nodes_s, self._formation_weight(config), has_leader)
+        times_s = np.concatenate([[0.0], nodes_s])
+        self._give_way = GiveWay(vehicle, times_s, period_s, agility(vehicle), room_m, islands, urgent)
         self._law: Law = make_law(vehicle, model, config, period_s, self.formation.rows)
-        guidance = guidance_config(config)
-        self._guided, self._heading = guidance.enabled, HeadingReference(vehicle, guidance, period_s, config.estimator.sway)
+        self._heading = HeadingReference(model, period_s, heading_gain(config))
         self.allocator = make_allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
-        self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
+        self._told_rows = np.interp(steps_s, times_s, np.arange(len(times_s), dtype=np.float64))
         self._wrench = np.zeros(3)  # asked for in the last step,
         self._delivered = np.zeros(3)  # and what its pulses gave
         self._priority = Priority(urgent, 0.0)
@@ -221,23 +185,14 @@ class Controller:
         """Time between two poses of the plan that neighbours get."""
         return self._config.period_s
 
-    def prepare_gains(self, config: ControllerConfig) -> GainSet:
-        """Build the solvers for other gains (shoal/messages/live_gains.py) beforehand: their scale depends on the weights, and
-        building takes ten times as long as a step."""
-        mpc = None
+    def adopt_gains(self, config: ControllerConfig) -> None:
+        """Use other gains (shoal/messages/live_gains.py) from the next step on. Estimate, heading and plan are kept."""
+        self._config, self._weight = config, np.array(config.mpc.q)
+        self._estimator.tune(config.estimator)
+        self._heading.tune(heading_gain(config))
+        self.formation.set_weight(self._formation_weight(config))
         if isinstance(self._law, Mpc):
-            mpc = Mpc(self._vehicle, self._model, config.mpc, config.period_s, self.formation.rows)
-        return GainSet(config, mpc)
-
-    def adopt_gains(self, tuned: GainSet) -> None:
-        """Use other gains from the next step on. Estimate, heading and plan are kept."""
-        self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
-        self._estimator.tune(tuned.config.estimator)
-        self._heading.tune(guidance_config(tuned.config))
-        self.formation.set_weight(self._formation_weight(tuned.config))
-        if tuned.mpc is not None and isinstance(self._law, Mpc):
-            tuned.mpc.take_over_plan(self._law)
-            self._law = tuned.mpc
+            self._law.tune(config.mpc)
 
     def step(
         self,
@@ -252,19 +207,16 @@ class Controller:
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
-        if self._config.estimator.learns:
-            self._heading.adapt(self._model.coefficients, estimate.pace)
         reference = self.sampler.sample(goal)
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
         lead = reference
         if isinstance(goal, Follow):
             keep_m = self.formation.clearances_m(predictions, now_ns)
             lead = self._give_way.way_around(reference, estimate.eta, predictions, keep_m, obstacles, now_ns)
-        weight, command = self._command(goal, lead, predictions, estimate)
-        predicted_path = self._law.predicted_path(estimate.action)
-        keep_clear = self.formation.half_spaces(
-            predictions, predicted_path, self._priority, now_ns, (*self._islands, *obstacles)
-        )
+        weight, command = self._command(goal, lead, lead is not reference, predictions, estimate)
+        keep_clear = NOWHERE
+        if isinstance(self._law, Mpc):
+            keep_clear = self.formation.half_spaces(predictions, estimate.action[:4], self._priority, now_ns)
         plan = self._law.plan(
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current,
             self._delivered,
@@ -287,27 +239,21 @@ class Controller:
             self._turns = None
 
     def _command(
-        self, goal: Goal, reference: Reference, predictions: NeighbourPredictions, estimate: Estimate
+        self, goal: Goal, lead: Reference, is_led: bool, predictions: NeighbourPredictions, estimate: Estimate
     ) -> tuple[Array, Array]:
         """Return the weight W (4,) and the reference with formation terms (35) and heading, (horizon + 2, 4): now and all
         nodes."""
-        if isinstance(goal, Hold):
-            command = reference.eta.copy()
-            command[:, 3] = self._heading.heading_on_hold(
-                reference, estimate.eta, estimate.nu, estimate.disturbance, estimate.current
-            )
-            return self._weight, command
-        command, weight = reference.eta.copy(), self._weight
+        command, weight, is_resting = lead.eta.copy(), self._weight, isinstance(goal, Hold)
         if isinstance(goal, Drive):  # a person steers
             return weight, self._unwound(command, estimate)
-        if predictions.has_members:
-            weight = np.empty(4)
-            formation_reference(
-                reference.eta, predictions.weighted_deviation, self._weight, predictions.weight, self._has_leader, command,
-                weight,
-            )  # fmt: skip
-        if self._guided:
-            self._heading.turn_along(command, reference, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
+        pull = None if is_resting else self.formation.pull(predictions, weight)
+        if pull is not None:
+            moved, weight = pull
+            command += np.concatenate([moved[:1], moved])
+        if is_resting or is_led or not self._is_article:
+            command[:, 3] += self._heading.turn(lead, estimate, is_resting)
+        else:
+            self._heading.reset()
         return weight, self._unwound(command, estimate)
 
     def _unwound(self, command: Array, estimate: Estimate) -> Array:
@@ -334,8 +280,12 @@ class Controller:
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(plan.wrench)
         wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, delivered
         self._estimator.note_wrench(delivered, now_ns)
-        told_eta, told_reference, goal = np.empty(plan.eta.shape), np.empty(plan.eta.shape), reference.eta[0].copy()
-        error_m = tell_from_now(self._told_rows, estimate.eta, plan.eta, lead.eta, command, goal, told_eta, told_reference)
+        goal, rows, meant = reference.eta[0].copy(), np.empty(command.shape), lead.eta.copy()
+        rows[0], rows[1:], meant[:, 3] = estimate.eta, plan.eta, command[:, 3]
+        told_eta = interpolate(rows, self._told_rows)
+        # Without the formation's pull: neighbours who shared a deviation would else see less of it, the less the more they are
+        told_reference = interpolate(meant, self._told_rows)
+        error_m = math.dist(goal[:3].tolist(), estimate.eta[:3].tolist())
         self._priority = Priority(self._urgent, error_m)
         return ControlOutput(
             pulse_us=pulses,

@@ -15,7 +15,8 @@ from robot_agent.control.baselines.tracking_errors import Axes
 from robot_agent.control.mpc import Mpc, MpcPlan
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
-from shoal.config.controller import ControllerConfig, GuidanceConfig
+from shoal.config.baseline_controllers import FeedbackLawConfig
+from shoal.config.controller import ControllerConfig
 from shoal.config.vehicle import Vehicle
 from shoal.errors import ConfigError
 from shoal.frames import Array
@@ -26,9 +27,6 @@ class Law(Protocol):
 
     def reset(self) -> None:
         """Forget the last plan."""
-
-    def predicted_path(self, state: State | Array) -> Array:
-        """Return the poses (horizon + 1, 4) expected of the coming plan."""
 
     def plan(
         self,
@@ -47,14 +45,10 @@ class Law(Protocol):
         (4,)."""
 
 
-def guidance_config(config: ControllerConfig) -> GuidanceConfig:
-    """Settings of the heading for a law: the correction gain depends on the heading loop."""
-    if config.law == "eso-mpc-article":  # its heading is the path's tangent
-        return config.guidance.model_copy(update={"enabled": False})
-    if ":" in config.law:
-        return config.guidance
-    gain = getattr(config, config.law.replace("-", "_")).guidance_per_s2
-    return config.guidance.model_copy(update={"position_gain_per_s2": gain})
+def heading_gain(config: ControllerConfig) -> float:
+    """Gain of the reference heading for a law, 1/s^2: it depends on the heading loop."""
+    section = getattr(config, config.law.replace("-", "_"), None)
+    return section.guidance_per_s2 if isinstance(section, FeedbackLawConfig) else FeedbackLawConfig().guidance_per_s2
 
 
 def make_law(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float, rows: int) -> Law:

@@ -7,13 +7,12 @@ steps, never within one. Pure: time is an argument.
 from dataclasses import dataclass
 
 from robot_agent.control.any_controller import AnyController
-from robot_agent.control.controller import GainSet
 from shoal.config.controller import ControllerConfig
 from shoal.errors import ConfigError
 from shoal.messages.live_gains import of_message, tuning
 from shoal.messages.messages import Command, Order
 
-Prepared = GainSet | str  # a set that can be flown, or why a command cannot be carried out; empty: nothing is against it
+Prepared = ControllerConfig | str  # a set that can be flown, or why it cannot; empty: nothing is against it
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +20,7 @@ class Adoption:
     """A set of gains and its beginning: both the instant on our clock and the place along the trajectory must be reached."""
 
     id: str
-    tuned: GainSet
+    tuned: ControllerConfig
     at_ns: int
     trajectory_s: float
 
@@ -32,18 +31,18 @@ class LiveTuning:
     def __init__(self, controller: AnyController, config: ControllerConfig) -> None:
         self.id = tuning(config).id
         self._controller, self._config = controller, config
-        self._ready: tuple[str, GainSet] | None = None
+        self._ready: tuple[str, ControllerConfig] | None = None
         self._adoption: Adoption | None = None
 
     def prepare(self, command: Command) -> Prepared:
-        """Build the set of a TUNE, or return the reason why it cannot be built; nothing for another command. It takes ten
-        times as long as a control step and changes nothing, so it may run beside one."""
+        """Check the set of a TUNE, or return the reason why it cannot be flown; nothing for another command. It changes
+        nothing, so it may run beside a step."""
         if command.order is not Order.TUNE:
             return ""
         if command.tuning is None:
             return "carries no gains"
         try:
-            return self._controller.prepare_gains(of_message(self._config, command.tuning))
+            return of_message(self._config, command.tuning)
         except ConfigError as error:
             return str(error)
 
@@ -59,7 +58,7 @@ class LiveTuning:
 
     def apply(self, command: Command, prepared: Prepared, given_ns: int) -> None:
         """Carry out a command without objection, given at `given_ns` on our clock."""
-        if command.order is Order.TUNE and command.tuning is not None and isinstance(prepared, GainSet):
+        if command.order is Order.TUNE and command.tuning is not None and isinstance(prepared, ControllerConfig):
             self._ready = command.tuning.id, prepared
         elif command.order is Order.ADOPT and command.tuning_id == self.id:
             self._adoption = None

@@ -20,7 +20,6 @@ from shoal.messages.obstacle_memory import ages_s, drift_m, growth_m, is_old, sw
 SPACING_M = 0.15  # of pieces along an edge: 0.3 m away, the way between two of them is 1 cm too near
 ABSURD_M = 1e3  # what lies farther away is no obstacle
 FASTEST_MPS = 2.0  # nothing in a pool is faster for long: an arm may be, and an outline that grows looks as if it were
-TOUCHING_M = 1e-6
 MOST_PIECES = 200  # of one obstacle: an outline of 30 m
 
 
@@ -115,21 +114,6 @@ def grown_with_age(obstacle: Obstacle, safety: Safety, now_ns: int) -> Obstacle:
     middle = complex(pieces.mean())
     keep_m = obstacle.clearance_m + growth_m(safety, age_s)
     return Obstacle(obstacle.id, pieces, keep_m, 0j, now_ns, middle, float(np.abs(pieces - middle).max()))
-
-
-def nearest_border(
-    obstacle: Obstacle, places: NDArray[np.complex128], nodes_ns: Sequence[int]
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128], Array]:
-    """Nearest edge point of an obstacle from `places` (nodes,), each at its own instant; the direction away from the obstacle
-    there; and the distance to it, negative inside. All (nodes,)."""
-    moved = np.array([obstacle.displacement(ns) for ns in nodes_ns])
-    apart = places[:, None] - moved[:, None] - obstacle.edge_points
-    closest = np.abs(apart).argmin(axis=1)
-    away = np.take_along_axis(apart, closest[:, None], axis=1)[:, 0]
-    sign = np.where(is_inside(apart), -1.0, 1.0)
-    distance = np.abs(away)
-    direction = np.where(distance > TOUCHING_M, sign * away / np.maximum(distance, TOUCHING_M), 1.0)
-    return obstacle.edge_points[closest] + moved, direction, sign * distance
 
 
 def is_inside(apart: NDArray[np.complex128]) -> NDArray[np.bool_]:

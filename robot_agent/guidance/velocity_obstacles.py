@@ -15,11 +15,8 @@ obstacles, Fiorini and Shiller 1998, with a side rule as in COLREG):
 
 Then the point returns to the reference, as fast as its `Agility` allows, braking before it: no overshoot. Robots in formation
 have the same velocity, never meet, and get back the very reference they came with.
-
-`plain_agility` and the point's heading (`_steers`, `_steer`, `_turn`) serve the linear laws only.
 """
 
-import cmath
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -30,7 +27,7 @@ from robot_agent.guidance.formation import MEANT_S, WALL_M, NeighbourPredictions
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Reference
 from shoal.config.vehicle import Vehicle
-from shoal.frames import Array, wrap
+from shoal.frames import Array
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Bools, Complexes, Floats, Table
 
@@ -47,9 +44,7 @@ CATCH_UP = 0.5  # of the reference's speed, on top of it, to return with, if `Ag
 UNHURRIED_MPS = 0.06  # likewise while something is in the way: a robot that hurries then takes a long way round
 FASTEST_SHARE = 0.8  # of the vehicle's speed: the rest is for what the robot has to correct
 LEASH_M = 0.25  # the point waits for a robot that is held up
-HOLD_COURSE_MPS = 0.02  # slower, a direction of motion means nothing
-TURN_RADPS = 0.8
-ARRIVED_M, ARRIVED_MPS, ARRIVED_RAD = 0.02, 0.02, 0.02  # the controller corrects as much by itself
+ARRIVED_M, ARRIVED_MPS = 0.02, 0.02  # the controller corrects as much by itself
 WALL_S = 3.0  # a velocity is not taken if in this time it leads closer to a wall than WALL_M beyond the hull
 STILL = 1e-12  # (m/s)^2: keeps 0/0 out
 
@@ -65,18 +60,13 @@ class Agility(NamedTuple):
     catch_up_mps: float  # and the most of it, on top of the reference's own
 
 
-def plain_agility(vehicle: Vehicle) -> Agility:
-    """That of the linear laws, which follow a leisurely point only."""
-    return Agility(0.15, 8.0, FASTEST_SHARE * vehicle.limits.speed_mps, 0.1, 0.3, 0.06)
-
-
-@kernel("f8(c16, c16)", part=True)
+@kernel(part=True)
 def dot(a: complex, b: complex) -> float:
     """Scalar product of two vectors x + iy."""
     return a.real * b.real + a.imag * b.imag
 
 
-@kernel("f8(c16, c16)", part=True)
+@kernel(part=True)
 def cross(a: complex, b: complex) -> float:
     """|a| times the distance of b to starboard of the direction a; negative to port."""
     return a.real * b.imag - a.imag * b.real
@@ -146,7 +136,7 @@ def homing_velocity(goal: complex, speed: complex, point: complex, agility: Agil
     return velocity * min(1.0, agility.fastest_mps / max(abs(velocity), agility.fastest_mps))
 
 
-@kernel("c16(c16, c16, f8)")
+@kernel
 def changed(velocity: complex, to: complex, most: float) -> complex:
     """Velocity changed towards `to` by at most `most`."""
     difference = to - velocity
@@ -327,16 +317,16 @@ class GiveWay:
         vehicle: Vehicle,
         times_s: Array,
         period_s: float,
+        agility: Agility,
         room_m: tuple[float, float] | None = None,
         islands: Sequence[Obstacle] = (),
-        agility: Agility | None = None,
         urgent: bool = False,
     ) -> None:
-        """`times_s` (rows,) are the instants of a reference's rows from now, `room_m` the pool's length and width. Without
-        an `agility` the point is a linear law's, and has a heading too. `urgent`: others give way to this robot."""
+        """`times_s` (rows,) are the instants of a reference's rows from now, `room_m` the pool's length and width. `urgent`:
+        others give way to this robot."""
         self._times_s, self._period_s, self._urgent = times_s, period_s, urgent
         self._sure_steps = max(SURE_STEPS, round(SURE_S / period_s))
-        self.agility, self._steers = agility or plain_agility(vehicle), agility is None
+        self.agility = agility
         self._look_steps = round(self.agility.look_ahead_s / LOOK_STEP_S)
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
         half_x_m, half_y_m = (half - vehicle.radius_m - WALL_M).tolist()
@@ -355,7 +345,6 @@ class GiveWay:
         """Go back to the reference at once."""
         self._point: complex | None = None  # None: on the reference
         self._velocity = 0j
-        self._turn = 0.0  # of the heading, away from the reference's
         self._met = 0  # consecutive steps with a conflict
         self.path_is_blocked = False  # it avoids what it would meet on its path too
         self.avoids = False  # something is in its way; False on the way back
@@ -393,7 +382,7 @@ class GiveWay:
         self.path_is_blocked = self._conflicts(reference, begin, traffic)
         on_path = self._point is None
         if self._point is None:
-            self._point, self._velocity, self._turn = begin, speed, 0.0
+            self._point, self._velocity = begin, speed
         wanted = homing_velocity(begin, speed, self._point, self.agility)
         course = self._avoiding_velocity(reference, place, wanted, traffic)
         if on_path and course is None:  # the path itself bends away
@@ -456,24 +445,12 @@ class GiveWay:
             path_out(self._point, self._velocity, course, change_mps2, self._times_s, eta, rate)
         self._velocity = changed(self._velocity, wanted if course is None else course, change_mps2 * self._period_s)
         self._point += self._velocity * self._period_s
-        if self._steers:
-            self._steer(float(reference.eta[0, 3]))
-            eta[:, 3] += self._turn
         acceleration[:, :2] = 0.0
         return Reference(eta, rate, acceleration)
 
-    def _steer(self, yaw_rad: float) -> None:
-        """Turn the heading towards the direction of motion, ahead or astern: a robot that comes back to its place does not
-        turn round for it."""
-        turn = 0.0
-        if abs(self._velocity) > HOLD_COURSE_MPS:
-            turn = self._turn + 0.5 * wrap(2.0 * (cmath.phase(self._velocity) - yaw_rad - self._turn))
-        most = TURN_RADPS * self._period_s
-        self._turn += min(max(turn - self._turn, -most), most)
-
     def _is_back(self, reference: Reference) -> bool:
-        """True if the point, a period from now, has returned to the reference in place, velocity and heading."""
+        """True if the point, a period from now, has returned to the reference in place and velocity."""
         assert self._point is not None
         speed = complex(reference.velocity[0, 0], reference.velocity[0, 1])
         off = abs(self._point - complex(reference.eta[0, 0], reference.eta[0, 1]) - speed * self._period_s)
-        return off < ARRIVED_M and abs(self._velocity - speed) < ARRIVED_MPS and abs(self._turn) < ARRIVED_RAD
+        return off < ARRIVED_M and abs(self._velocity - speed) < ARRIVED_MPS

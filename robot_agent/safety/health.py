@@ -9,7 +9,7 @@ from robot_agent.safety.path_watch import PathWatch
 from robot_agent.safety.sensor_checks import GyroscopeCheck, StuckSensorCheck
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.battery import BatteryMonitor
-from robot_agent.vehicle.dynamics import GATE_RAD
+from robot_agent.vehicle.eso import GATE_RAD
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from shoal.config.experiment import Experiment
 from shoal.frames import wrap

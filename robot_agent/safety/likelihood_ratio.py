@@ -14,12 +14,13 @@ a fault would be learned as normal.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Floats, Ints, Table
 
 NS = 1_000_000_000
 SPANS_S = (0.5, 1.0, 2.0)
@@ -30,8 +31,50 @@ KEPT = 256  # samples: half of them are more than the fastest loop takes in the 
 LEAST = 1e-12  # of what could have been missing: nothing
 
 
-@kernel("void(f8[:,::1], f8[:,::1])", part=True)
-def solve(a: Array, b: Array) -> None:
+class Knowledge(NamedTuple):
+    """Knowledge of theta: its mean (k,) and its covariance (k, k)."""
+
+    theta: Floats
+    covariance: Table
+
+
+class Sought(NamedTuple):
+    """A missing share: of one of the first `parts` of x, from `least` to `most`."""
+
+    parts: int
+    least: float
+    most: float
+
+
+class KeptSamples(NamedTuple):
+    """Samples not learned yet, in the rows from `first` to `end`."""
+
+    instants_ns: Ints
+    xy: Table  # (n, k + 1) x and y
+    spread: Table  # (n, 2) seconds for which each stands, and its own standard deviation besides the noise's
+    first: int
+    end: int
+
+
+class Weighing(NamedTuple):
+    """Numbers that decide how much a sample counts."""
+
+    spans_s: Floats  # looked at
+    same_s: float  # samples within this time count once
+    variance: float  # of the noise
+
+
+class Learning(NamedTuple):
+    """Numbers of one step of learning."""
+
+    per_sample: float
+    fades: float  # share of the knowledge
+    renewed: float  # share of the noise's variance that is taken from this sample
+    least_variance: float
+
+
+@kernel(part=True)
+def solve(a: Table, b: Table) -> None:
     """Solve a X = b for a positive definite `a` (k, k) by Gaussian elimination, in both arrays: X (k, m) stands in `b`."""
     for i in range(len(a)):
         for row in range(len(a)):
@@ -46,33 +89,24 @@ def solve(a: Array, b: Array) -> None:
             b[i, j] /= a[i, i]
 
 
-@kernel("f8(f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], i8, f8, f8)", part=True)
-def largest_evidence(
-    samples: Array,
-    weights: Array,
-    begins: NDArray[np.int64],
-    theta: Array,
-    covariance: Array,
-    parts: int,
-    least: float,
-    most: float,
-) -> float:
-    """Largest evidence of the module, over the first `parts` of x, shares from `least` to `most`, and the spans of samples
-    from each of `begins`, the latest first, to the end.
+@kernel(part=True)
+def largest_evidence(xy: Table, weights: Floats, begins: Ints, known: Knowledge, sought: Sought) -> float:
+    """Largest evidence of the module, over the parts and shares that are sought, and the spans of samples from each of
+    `begins`, the latest first, to the end.
 
-    `samples` (n, k + 1) are (x, y), `weights` (n,) their inverse variances, `covariance` (k, k) that of theta. With
-    r = y - theta . x and C = sum (x, r) (x, r)' / variance, uncertainty leaves C - C_x' (C_xx + covariance^-1)^-1 C_x of it:
-    (x, r)' S^-1 (x, r).
+    `weights` (n,) are the inverse variances of the samples `xy` (n, k + 1). With r = y - theta . x and
+    C = sum (x, r) (x, r)' / variance, uncertainty leaves C - C_x' (C_xx + covariance^-1)^-1 C_x of it: (x, r)' S^-1 (x, r).
     """
+    theta, parts = known.theta, sought.parts
     k, best = len(theta), -np.inf
-    information, known = np.eye(k), np.copy(covariance)
-    solve(known, information)
-    summed, z, end = np.zeros((k + 1, k + 1)), np.zeros(k + 1), len(samples)
+    information = np.eye(k)
+    solve(np.copy(known.covariance), information)
+    summed, z, end = np.zeros((k + 1, k + 1)), np.zeros(k + 1), len(xy)
     for begin in begins:
         for i in range(begin, end):
-            z[:] = samples[i]
+            z[:] = xy[i]
             for j in range(k):
-                z[k] -= theta[j] * samples[i, j]
+                z[k] -= theta[j] * xy[i, j]
             for row in range(k + 1):
                 for column in range(k + 1):
                     summed[row, column] += weights[i] * z[row] * z[column]
@@ -84,62 +118,35 @@ def largest_evidence(
             for j in range(k):
                 along += summed[k, j] * explained[j, part]
                 size -= summed[part, j] * explained[j, part]
-            share = min(max(along / max(size, LEAST), least), most)
+            share = min(max(along / max(size, LEAST), sought.least), sought.most)
             best = max(best, share * (along - 0.5 * share * size))
     return best
 
 
-@kernel("f8(i8[::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8[::1], f8, f8, f8[::1], f8[:,::1], i8, f8, f8)")
-def evidence_at(
-    instants_ns: NDArray[np.int64],
-    samples: Array,
-    spread: Array,
-    first: int,
-    end: int,
-    at_ns: int,
-    spans_s: Array,
-    same_s: float,
-    variance: float,
-    theta: Array,
-    covariance: Array,
-    parts: int,
-    least: float,
-    most: float,
-) -> float:
-    """`largest_evidence` in the rows from `first` to `end` of `samples`, over the last `spans_s` before `at_ns`.
-
-    `spread` (n, 2) says for how many seconds each sample stands, and its own standard deviation besides the noise's
-    `variance`. Samples within `same_s` count once.
-    """
+@kernel
+def evidence_at(samples: KeptSamples, at_ns: int, weighing: Weighing, known: Knowledge, sought: Sought) -> float:
+    """`largest_evidence` of the samples, over the last spans before `at_ns`."""
+    first, end, spans_s = samples.first, samples.end, weighing.spans_s
     weights, begins = np.empty(end - first), np.empty(len(spans_s), np.int64)
     for i in range(first, end):
-        weights[i - first] = spread[i, 0] / (same_s * (variance + spread[i, 1] * spread[i, 1]))
+        own = samples.spread[i, 1]
+        weights[i - first] = samples.spread[i, 0] / (weighing.same_s * (weighing.variance + own * own))
     for k in range(len(spans_s)):
         begins[k] = 0
-        while begins[k] < end - first and instants_ns[first + begins[k]] < at_ns - spans_s[k] * NS:
+        while begins[k] < end - first and samples.instants_ns[first + begins[k]] < at_ns - spans_s[k] * NS:
             begins[k] += 1
-    return float(largest_evidence(samples[first:end], weights, begins, theta, covariance, parts, least, most))
+    return float(largest_evidence(samples.xy[first:end], weights, begins, known, sought))
 
 
-@kernel("f8(f8[::1], f8[:,::1], f8[:,::1], f8[::1], f8, f8, f8, f8, f8, f8)")
-def learn(
-    theta: Array,
-    covariance: Array,
-    prior: Array,
-    sample: Array,
-    rough: float,
-    per_sample: float,
-    fades: float,
-    variance: float,
-    renewed: float,
-    least_variance: float,
-) -> float:
-    """Do one step of recursive least squares with a `sample` (x, y), in `theta` (k,) and `covariance` (k, k):
+@kernel
+def learn(known: Knowledge, prior: Table, sample: Floats, rough: float, variance: float, learning: Learning) -> float:
+    """Do one step of recursive least squares with a `sample` (x, y), in what is known:
 
         C = covariance + fades (prior - covariance)    gain = C x / (x . C x + (variance + rough^2) per_sample)
 
     The noise's variance takes the share `renewed` of what this sample says of it. Returns the new one.
     """
+    theta, covariance, fades = known.theta, known.covariance, learning.fades
     k, missed, doubt = len(theta), sample[len(theta)], 0.0
     toward = np.zeros(k)
     for i in range(k):
@@ -148,9 +155,9 @@ def learn(
             covariance[i, j] += fades * (prior[i, j] - covariance[i, j])
             toward[i] += covariance[i, j] * sample[j]
         doubt += sample[i] * toward[i]
-    noise = max(missed * missed - doubt - rough * rough, least_variance)
-    variance += renewed * (noise - variance)
-    per = 1.0 / (doubt + (variance + rough * rough) * per_sample)
+    noise = max(missed * missed - doubt - rough * rough, learning.least_variance)
+    variance += learning.renewed * (noise - variance)
+    per = 1.0 / (doubt + (variance + rough * rough) * learning.per_sample)
     for i in range(k):
         theta[i] += toward[i] * per * missed
         for j in range(k):
@@ -171,7 +178,7 @@ class LikelihoodRatioTest:
         self._theta, self._covariance, self._variance = np.zeros(len(prior)), prior.copy(), noise**2
         # Covariance of told changes that is not yet in `_covariance`: it is added when the first sample after them is learned
         self._doubt, self._changed_ns = np.zeros_like(prior), 0
-        self._parts, self._shares, self._spans_s = parts, shares, np.array(SPANS_S)
+        self._sought, self._spans_s = Sought(parts, *shares), np.array(SPANS_S)
         # Samples not learned yet stand in the rows from `first` to `end`: instant, (x, y), seconds and roughness
         self._instants_ns, self._samples = np.zeros(KEPT, np.int64), np.zeros((KEPT, len(prior) + 1))
         self._spread, self._first, self._end = np.zeros((KEPT, 2)), 0, 0
@@ -189,10 +196,10 @@ class LikelihoodRatioTest:
         while self._instants_ns[self._first] <= at_ns - SPANS_S[-1] * NS:
             self._learn_first()
         first = max(self._first, int(np.searchsorted(self._instants_ns[: self._end], self._changed_ns)))
-        self.evidence = evidence_at(
-            self._instants_ns, self._samples, self._spread, first, self._end, at_ns, self._spans_s, self._same_s,
-            self._variance, self._theta, self._covariance + self._doubt, self._parts, *self._shares,
-        )  # fmt: skip
+        samples = KeptSamples(self._instants_ns, self._samples, self._spread, first, self._end)
+        known = Knowledge(self._theta, self._covariance + self._doubt)
+        weighing = Weighing(self._spans_s, self._same_s, self._variance)
+        self.evidence = evidence_at(samples, at_ns, weighing, known, self._sought)
 
     def note_change(self, covariance: Array, at_ns: int) -> None:
         """Take note that theta has changed at an instant, with an unknown change of this `covariance` (k, k). The test doubts
@@ -209,10 +216,14 @@ class LikelihoodRatioTest:
             self._doubt[:] = 0.0
         if self.evidence < SUSPECTED:
             seconds, rough = self._spread[self._first].tolist()
-            self._variance = learn(
-                self._theta, self._covariance, self._prior, self._samples[self._first], rough, self._same_s / seconds,
-                -math.expm1(-seconds / FADES_S), self._variance, -math.expm1(-seconds / NOISE_S), self._least_variance,
-            )  # fmt: skip
+            learning = Learning(
+                self._same_s / seconds,
+                -math.expm1(-seconds / FADES_S),
+                -math.expm1(-seconds / NOISE_S),
+                self._least_variance,
+            )
+            known, sample = Knowledge(self._theta, self._covariance), self._samples[self._first]
+            self._variance = learn(known, self._prior, sample, rough, self._variance, learning)
         self._first += 1
 
     def _make_room(self) -> None:

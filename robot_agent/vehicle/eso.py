@@ -2,64 +2,205 @@
 
 The state is that at the exposure of the newest pose. From there it is predicted to now, and on to the instant at which a
 command given now begins to act, with the wrenches that act meanwhile. Without that, 50 ms at 0.3 m/s are 15 mm, more than all
-vision noise. Gains of heave and yaw are those of the discrete "current observer" for a bandwidth w (Miklosovic, Radke, Gao
-2006). They tend to b1 = 3w, b2 = 3w^2, b3 = w^3 for short steps and stay stable for long ones, because poses come late and go
-missing.
+vision noise. Gains are those of the discrete "current observer" for a bandwidth w (Miklosovic, Radke, Gao 2006). They tend to
+b1 = 3w, b2 = 3w^2, b3 = w^3 for short steps and stay stable for long ones, because poses come late and go missing.
 
-Those of surge and sway are Kalman's. Process noise of 3 w^2, 3 w^4 and w^6 in pose, velocity and Gamma, times variance and
-period of ordinary poses, gives the same poles: on the imaginary axis |s + w|^6 = |s^3|^2 + 3 w^2 |s^2|^2 + 3 w^4 |s|^2
-+ w^6. A pose after a gap counts more. If the observer is adaptive, poses that say that they are worse count less, and drag and
-thrust per mass are two more states: a slower observer needs the right model. `pace` tells by how much the bandwidth fell.
-
-The water may stream. For a robot with constant heading, a current c and a side force Gamma_v look the same; for a robot that
-turns, a current keeps its direction in the pool while a force of the robot turns along. So the lasting part of Gamma_v is
-moved to the current, slowly, along the one direction (v, Gamma_v, c) += (-1, -slope of drag / m_v, 1) dc that changes no
-prediction at this heading. In water that streams evenly the model holds for velocities through the water; c only adds to the
-robot's motion over ground.
+For a robot with constant heading, a current and a side force Gamma_v look the same. This observer takes all for forces of the
+robot; kalman.py tells them apart. What both share, and the nonlinear observer builds on, is `Estimator`: inputs, delays, gates
+and leaps.
 """
 
 import math
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.vehicle.dynamics import (
-    GATE_M,
-    GATE_RAD,
-    SENSED_LOOKED_AT,
-    STATES,
-    Model,
-    State,
-    Wrench,
-    observe,
-    propagate,
-    sensed_at,
-    spread,
-    weigh,
-)
+from robot_agent.vehicle.dynamics import STATES, Commands, Model, MotionModel, PerAxis4, State, State12, Wrench, propagate
 from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
 from shoal.config.controller import COAST_S, EstimatorConfig
 from shoal.config.vehicle import AXES
-from shoal.frames import Array, wrap
+from shoal.frames import TURN, Array, wrap
+from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Floats, Ints, Table
 
 S = TypeVar("S")
 
 NS = 1_000_000_000
 COAST_NS = round(COAST_S * 1e9)  # prediction alone is no estimate any more: the agent has been neutral for half of it
+GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
 GATE_DEPTH_M = 0.15  # as GATE_M for depth: 0.26 m/s x 0.2 s, doubled, and 5 cm of pressure under waves
 GATE_RADPS = 1.0  # and for the gyroscope: 0.5 N m turn 0.12 kg m^2 by 0.8 rad/s faster in 0.2 s
 GATE_PATIENCE = 5  # samples in a row that contradict the estimate and agree with one another before they are believed
 ABSURD = 1e3  # m, rad, rad/s: nothing in a pool measures that much
 KEPT = 256  # wrenches, and board samples: more wrenches than COAST_NS of the fastest loop
-STATE, GAMMA, CURRENT, RATIOS = slice(0, 11), slice(11, 15), slice(15, 17), slice(17, 19)  # of the belief
-SWAY_THRUST = -1  # of the belief, N: the state's last number
-POSE_M, POSE_S = 0.0015, 0.05  # ordinary poses: standard deviation of x and of y, and period. The bandwidth is for these
-WORST_M = 0.05  # and so much a pose is worth at least: it passed the localizer's gate
-RATIO, RATIO_PER_SQRT_S = 0.15, 0.01  # standard deviation of drag and thrust per mass at first, and by how much they wander
-VARIANCE_S = 1.0  # time constant of the mean variance
-STEADY = 400  # poses after which the covariance has settled, for bandwidths from 0.3 rad/s on
+SENSED_LOOKED_AT = 16  # board samples, one per step: reaches back 0.8 s
+SENSED_HELD_NS = 150_000_000  # so long a board sample stands for what came after it: three bursts at 20 Hz
+NUMBERS = 18  # of the belief: state 11, Gamma 4, current 2, and last the side thrust that acts, N
+STATE, GAMMA, CURRENT, SWAY_THRUST = slice(0, 11), slice(11, 15), slice(15, 17), -1
+
+
+class EsoSettings(NamedTuple):
+    """Settings of the extended state observer."""
+
+    bandwidth_radps: float  # of x, y, z
+    yaw_bandwidth_radps: float
+    estimates: float  # 1; 0: no Gamma
+
+
+class Samples(NamedTuple):
+    """Depths and yaw rates, each with its instant, in order; NaN where there was none."""
+
+    sensed_ns: Ints
+    sensed: Table  # (samples, 2)
+    taken: int  # so many of them
+
+
+class Sighting(NamedTuple):
+    """A pose with its variances."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    variance_m2: float
+    variance_rad2: float
+    stamp_ns: int  # not later than `Instants.at_ns`: there is none
+
+
+class Instants(NamedTuple):
+    """Instants of a step: of the belief, now, and when a command given now acts."""
+
+    at_ns: int
+    now_ns: int
+    acts_ns: int
+
+
+@kernel(part=True)
+def state_of(numbers: Floats) -> State12:
+    """State of a belief."""
+    return (
+        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8], numbers[9],
+        numbers[10], numbers[len(numbers) - 1],
+    )  # fmt: skip
+
+
+@kernel(part=True)
+def gamma_of(numbers: Floats) -> PerAxis4:
+    """Gamma of a belief."""
+    return numbers[11], numbers[12], numbers[13], numbers[14]
+
+
+@kernel(part=True)
+def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Innovation gains b1, b2, b3 for pose, velocity and Gamma: all three observer poles at exp(-w dt)."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
+
+
+@kernel(part=True)
+def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Gains b1, b2, b3 if velocity is measured too: pose by the pose error; velocity and Gamma by the velocity error."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return rest, 1.0 - beta * beta, rest * rest / step_s
+
+
+@kernel
+def sensed_at(samples: Samples, column: int, at_ns: int) -> float:
+    """Depth (column 0) or yaw rate (1) at an instant, from the last SENSED_LOOKED_AT samples: interpolated, held at the ends;
+    NaN if there is none, or the newest is SENSED_HELD_NS older."""
+    sensed_ns, sensed, count = samples.sensed_ns, samples.sensed, samples.taken
+    later_ns, later = 0, math.nan
+    for i in range(count - 1, max(count - SENSED_LOOKED_AT, 0) - 1, -1):
+        value = float(sensed[i, column])
+        if math.isnan(value):
+            continue
+        if sensed_ns[i] <= at_ns:
+            if math.isnan(later):
+                return value if at_ns - sensed_ns[i] <= SENSED_HELD_NS else math.nan
+            return float(value + (later - value) * (at_ns - sensed_ns[i]) / (later_ns - sensed_ns[i]))
+        later_ns, later = sensed_ns[i], value
+    return later
+
+
+@kernel(part=True)
+def passes_gate(there: State12, sighting: Sighting) -> tuple[bool, float, float, float]:
+    """True if a pose is not farther off than GATE_M and GATE_RAD; and its errors in x, y and yaw against the state there."""
+    turned = np.fmod(sighting.yaw_rad - there[3], TURN)
+    turned = turned - TURN if turned >= math.pi else turned + TURN if turned < -math.pi else turned
+    ex, ey = sighting.x_m - there[0], sighting.y_m - there[1]
+    return math.hypot(ex, ey) <= GATE_M and abs(turned) <= GATE_RAD, ex, ey, turned
+
+
+@kernel(part=True)
+def correct(
+    settings: EsoSettings, sway: float, numbers: Floats, error: tuple[float, float, float], depth_m: float, rate_radps: float,
+    step_s: float,
+) -> None:  # fmt: skip
+    """Correction (31), `step_s` after the last one: eta += b1 e, nu += b2 J' e, Gamma += b3 J' e. `error` is that of x, y and
+    yaw; depth and yaw rate are NaN where they are not known."""
+    ex, ey, turned = error
+    estimates = settings.estimates
+    b1, b2, b3 = gains(settings.bandwidth_radps, step_s)
+    cos, sin = math.cos(numbers[3]), math.sin(numbers[3])
+    ahead, aside = cos * ex + sin * ey, sway * (cos * ey - sin * ex)
+    numbers[0] += b1 * ex
+    numbers[1] += b1 * ey
+    numbers[4] += b2 * ahead
+    numbers[5] += b2 * aside
+    numbers[11] += estimates * b3 * ahead
+    numbers[12] += estimates * b3 * aside
+    if not math.isnan(depth_m):
+        error_z = depth_m - numbers[2]
+        numbers[2] += b1 * error_z
+        numbers[6] += b2 * error_z
+        numbers[13] += estimates * b3 * error_z
+    if math.isnan(rate_radps):
+        b1, b2, b3 = gains(settings.yaw_bandwidth_radps, step_s)
+        error_r = turned
+    else:  # the gyroscope sees the rate at once, the camera keeps the heading; a gyro bias of 2 mrad/s moves it by 0.5 mrad
+        b1, b2, b3 = gains_with_rate(settings.yaw_bandwidth_radps, step_s)
+        error_r = rate_radps - numbers[7]
+    numbers[3] += b1 * turned
+    numbers[7] += b2 * error_r
+    numbers[14] += estimates * b3 * error_r
+
+
+@kernel
+def observe(
+    motion: MotionModel,
+    settings: EsoSettings,
+    numbers: Floats,
+    commands: Commands,
+    samples: Samples,
+    sighting: Sighting,
+    instants: Instants,
+    results: Table,
+) -> bool:
+    """One step of the observer: the belief (NUMBERS,), corrected by a pose if there is a later one, and predicted to now and
+    on to when a command given now acts.
+
+    `results` (2, 12): the state now, and then. False, and the belief stays, if the pose does not pass the gate.
+    """
+    at_ns, stamp_ns, passes, still = instants.at_ns, sighting.stamp_ns, True, (0.0, 0.0)
+    if stamp_ns > at_ns:
+        there = propagate(motion, state_of(numbers), gamma_of(numbers), still, commands, at_ns, stamp_ns)
+        passes, ex, ey, turned = passes_gate(there, sighting)
+        if passes:
+            for i in range(11):
+                numbers[i] = there[i]
+            numbers[len(numbers) - 1] = there[STATES - 1]
+            depth_m, rate_radps = sensed_at(samples, 0, stamp_ns), sensed_at(samples, 1, stamp_ns)
+            correct(settings, motion.sway, numbers, (ex, ey, turned), depth_m, rate_radps, (stamp_ns - at_ns) * 1e-9)
+            at_ns = stamp_ns
+    gamma = gamma_of(numbers)
+    here = propagate(motion, state_of(numbers), gamma, still, commands, at_ns, instants.now_ns)
+    then = propagate(motion, here, gamma, still, commands, instants.now_ns, instants.acts_ns)
+    for i in range(STATES):
+        results[0, i], results[1, i] = here[i], then[i]
+    return passes
 
 
 class Contradiction(Generic[S]):
@@ -88,21 +229,17 @@ class Contradiction(Generic[S]):
 class Estimator:
     """One robot's observer. Call `update` once per control step, then `note_wrench` with the wrench that was sent."""
 
-    def __init__(self, model: Model, config: EstimatorConfig, dead_time_s: float, fastest_mps: float = math.inf) -> None:
-        """`fastest_mps` limits the estimated current: a robot cannot hold its place in a stronger one."""
-        self._model, self._fastest_mps = model, fastest_mps
+    numbers = NUMBERS  # of the belief
+
+    def __init__(self, model: Model, config: EstimatorConfig, dead_time_s: float) -> None:
+        self._model = model
         self._dead_ns = round(dead_time_s * NS)
         self._acts_ns, self._wrenches = np.zeros(KEPT, dtype=np.int64), np.zeros((KEPT, len(AXES)))
         self._inputs = 0  # wrenches, each with the instant from which it acts, in order
         self._sensed_ns, self._sensed = np.zeros(KEPT, dtype=np.int64), np.zeros((KEPT, 2))
         self._samples = 0  # depths and yaw rates, each with its instant, in order; NaN where there was none
         self._board_ns = -1  # instant of the last measurement of the board, accepted or not
-        # state, Gamma, current, drag and thrust per mass, and last the side thrust that acts, at the exposure _at_ns
-        self._belief = np.zeros(20)
-        self._belief[RATIOS] = 1.0
-        self._covariance, self._work = np.zeros((8, 8)), np.empty((2, 8, 8))
-        self._pose = np.zeros(5)  # that was weighed last, with its variance, believed and told
-        self._variance_m2 = POSE_M**2  # of the poses of late
+        self._belief = np.zeros(self.numbers)  # at the exposure _at_ns
         self._begun = False  # there is a belief
         self._at_ns = 0
         self._other_poses: Contradiction[PoseMeasurement] = Contradiction(_agree)
@@ -116,29 +253,8 @@ class Estimator:
 
     def tune(self, config: EstimatorConfig) -> None:
         """Use other gains from the next pose on; the estimate stays."""
-        self._uses_yaw_rate, self._adaptive = config.use_imu_yaw_rate, config.adaptive
-        w, gamma, sway = config.bandwidth_radps, float(config.enabled), float(config.sway)
-        place = 3.0 * w**2 * POSE_M**2 * POSE_S
-        learns = float(config.adaptive) * gamma * sway
-        self._noise = np.array((
-            place, place, place * w**2, sway * place * w**2, gamma * place * w**4 / 3.0, gamma * sway * place * w**4 / 3.0,
-            RATIO_PER_SQRT_S**2 * learns, RATIO_PER_SQRT_S**2 * learns,
-        ))  # fmt: skip
-        self._settings = np.array((
-            w, config.yaw_bandwidth_radps, gamma, self._fastest_mps, sway * config.current_rate_radps
-        ), dtype=np.float64)  # fmt: skip
-        self._steady = self._settled_covariance()
-        self._covariance[6:] = self._covariance[:, 6:] = 0.0  # begin to learn anew, or learn no more
-        self._covariance[6:, 6:] = RATIO**2 * learns * np.eye(2)
-
-    def _settled_covariance(self) -> Array:
-        """Covariance (6, 6) of pose, velocity and Gamma of a robot at rest that is seen in ordinary poses."""
-        p, work, belief = np.zeros((8, 8)), np.empty((2, 8, 8)), np.zeros(19)
-        belief[RATIOS] = 1.0
-        for _ in range(STEADY):
-            spread(self._model.nominal, self._model.sway, belief, POSE_S, self._noise, p, work)
-            weigh(p, 0.0, 0.0, POSE_M**2, 0.0, work[0], work[1, 0])
-        return p[:6, :6].copy()
+        self._uses_yaw_rate = config.use_imu_yaw_rate
+        self._settings = EsoSettings(config.bandwidth_radps, config.yaw_bandwidth_radps, float(config.enabled))
 
     def note_wrench(self, wrench: Wrench | Array, now_ns: int) -> None:
         """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the last
@@ -169,8 +285,6 @@ class Estimator:
         now, action = np.empty((4, 4)), np.zeros(STATES)
         passes = self._observe(pose, now_ns, now, action)
         if pose is not None and passes:
-            share = -math.expm1((self._at_ns - pose.stamp_ns) / (VARIANCE_S * NS))
-            self._variance_m2 += share * (self._variance_of(pose) - self._variance_m2)
             self._at_ns = pose.stamp_ns
             self._other_poses.reset()
         elif pose is not None and self._leaps_to(pose):
@@ -180,27 +294,32 @@ class Estimator:
             return None
         eta, nu, disturbance, gamma_still_water = now
         x_mps, y_mps = self._belief[CURRENT].tolist()
-        drag_ratio, thrust_ratio = self._belief[RATIOS].tolist() if self._adaptive else (0.0, 0.0)
         depth_age_s = (now_ns - self._depth_ns) / NS if self._depth_ns is not None else math.inf
         return Estimate(
             eta, nu, disturbance, complex(x_mps, y_mps), gamma_still_water, action, (now_ns - self._at_ns) / NS, depth_age_s,
-            self._leap, self._depth_leap, drag_ratio, thrust_ratio, (POSE_M**2 / self._variance_m2) ** (1.0 / 6.0),
+            self._leap, self._depth_leap,
         )  # fmt: skip
 
     def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:
-        """Run `dynamics.observe`. False if the pose does not pass the gate."""
-        model, at_ns, stamp_ns = self._model, self._at_ns, self._at_ns
+        """One step of the equations. Writes `now` (4, 4), the rows eta; nu over ground; Gamma; and Gamma with the acceleration
+        by which the current changes drag; and `action` (12,), the state when a command given now acts, its velocities through
+        the water. False if the pose does not pass the gate."""
+        results = np.empty((2, STATES))
+        sighting = Sighting(0.0, 0.0, 0.0, 0.0, 0.0, self._at_ns)
         if pose is not None:
-            self._pose[:], stamp_ns = (pose.x_m, pose.y_m, pose.yaw_rad, self._variance_of(pose), _told(pose)), pose.stamp_ns
-        return observe(
-            model.nominal, model.coefficients, model.sway, model.lag_s, self._settings, self._noise, self._belief,
-            self._covariance, self._work, self._acts_ns, self._wrenches, self._inputs, self._sensed_ns, self._sensed,
-            self._samples, self._pose, stamp_ns, at_ns, now_ns, now_ns + self._dead_ns, now, action,
+            sighting = Sighting(pose.x_m, pose.y_m, pose.yaw_rad, 0.0, 0.0, pose.stamp_ns)
+        passes = observe(
+            self._model.motion, self._settings, self._belief, self._commands(), self._sensed_samples(), sighting,
+            Instants(self._at_ns, now_ns, now_ns + self._dead_ns), results,
         )  # fmt: skip
+        now[0], now[1], now[2:], action[:] = results[0, :4], results[0, 4:8], self._belief[GAMMA], results[1]
+        return passes
 
-    def _variance_of(self, pose: PoseMeasurement) -> float:
-        """Variance of x and y as it is believed: that of ordinary poses, or as it is told if the observer is adaptive."""
-        return _told(pose) if self._adaptive else POSE_M**2
+    def _commands(self) -> Commands:
+        return Commands(self._acts_ns, self._wrenches, self._inputs)
+
+    def _sensed_samples(self) -> Samples:
+        return Samples(self._sensed_ns, self._sensed, self._samples)
 
     def _has_coasted(self, now_ns: int) -> bool:
         """True if the last pose is too old for an estimate."""
@@ -280,7 +399,7 @@ class Estimator:
     def _begin(self, pose: PoseMeasurement) -> None:
         """Start at rest at a pose. Depth and the heave disturbance have another source and go on."""
         if not self._begun:
-            depth = sensed_at(self._sensed_ns, self._sensed, self._samples, 0, pose.stamp_ns)
+            depth = sensed_at(self._sensed_samples(), 0, pose.stamp_ns)
             z, yaw, w = 0.0 if math.isnan(depth) else depth, pose.yaw_rad, 0.0
             thrust: State = (0.0, 0.0, 0.0, 0.0)
         else:
@@ -290,19 +409,15 @@ class Estimator:
         self._belief[SWAY_THRUST] = thrust[3]
         self._belief[GAMMA] = (0.0, 0.0, self._belief[GAMMA][2], 0.0)
         self._belief[CURRENT] = 0.0
-        self._covariance[:6] = self._covariance[:, :6] = 0.0  # what is known of drag and thrust stays
-        self._covariance[:6, :6] = self._steady
         self._at_ns, self._begun = pose.stamp_ns, True
         self._other_poses.reset()
         self._other_rates.reset()
 
     def _predicted(self, to_ns: int) -> State:
         """State at an instant after the belief's, without correction."""
-        model, (state, gamma, current) = self._model, (self._belief[part].tolist() for part in (STATE, GAMMA, CURRENT))
-        return propagate(
-            model.coefficients, model.sway, model.lag_s, (*state, self._belief.item(SWAY_THRUST)), tuple(gamma),
-            tuple(current), self._acts_ns, self._wrenches, self._inputs, self._at_ns, to_ns,
-        )  # fmt: skip
+        state, gamma, current = (tuple(self._belief[part].tolist()) for part in (STATE, GAMMA, CURRENT))
+        whole = (*state, self._belief.item(SWAY_THRUST))
+        return propagate(self._model.motion, whole, gamma, current, self._commands(), self._at_ns, to_ns)
 
 
 def _drop(count: int, instants_ns: NDArray[np.int64], rows: Array) -> int:
@@ -310,12 +425,6 @@ def _drop(count: int, instants_ns: NDArray[np.int64], rows: Array) -> int:
     for column in (instants_ns, rows):
         column[: KEPT - count] = column[count:]
     return KEPT - count
-
-
-def _told(pose: PoseMeasurement) -> float:
-    """Variance of x and y that a pose tells: none is better than ordinary, or worse than WORST_M. One that is no number says
-    nothing good."""
-    return min(max(pose.variance_m2, POSE_M**2), WORST_M**2) if math.isfinite(pose.variance_m2) else WORST_M**2
 
 
 def _agree(a: PoseMeasurement, b: PoseMeasurement) -> bool:

@@ -65,9 +65,8 @@ class Estimate(NamedTuple):
     depth_age_s: float  # of the last depth that did not contradict the estimate; infinite before the first
     leap: str = ""  # what was told and what had been believed, in the step that gave up a believed place for another one
     depth_leap: str = ""  # the same for the depth
-    drag_ratio: float = 0.0  # drag per mass over the nominal model's, as learned; 0 if it is not adaptive
+    drag_ratio: float = 0.0  # drag per mass over the nominal model's, as learned; 0 if it is not learned
     thrust_ratio: float = 0.0  # the same of thrust per mass
-    pace: float = 1.0  # bandwidth over that with ordinary poses: as fast may act what feeds the estimate back
     moment_ratio: float = 0.0  # of yaw moment per inertia; 0 if it is not learned
     bandwidth_radps: float = 0.0  # with which the observer follows the poses now; 0: not known
     deviations: Deviations | None = None  # None: the observer has no covariance

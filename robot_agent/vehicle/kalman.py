@@ -10,20 +10,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_agent.vehicle.dynamics import (
-    GATE_M,
-    GATE_RAD,
-    LONGEST_STEP_NS,
-    OUTLIER,
+from robot_agent.vehicle.dynamics import LONGEST_STEP_NS, STATES, Commands, Model, MotionModel, drag, propagate
+from robot_agent.vehicle.eso import (
+    GATE_RADPS,
     SENSED_LOOKED_AT,
-    STATES,
-    Model,
-    drag,
+    Estimator,
+    Instants,
+    Samples,
+    Sighting,
     gains,
-    propagate,
+    gamma_of,
+    passes_gate,
     sensed_at,
+    state_of,
 )
-from robot_agent.vehicle.eso import GATE_RADPS, Estimator
 from robot_agent.vehicle.estimate import Deviations, Estimate, PoseMeasurement, Ratios, StateMeasurement
 from robot_agent.vehicle.filter_bank import (
     ACTING,
@@ -58,9 +58,9 @@ from robot_agent.vehicle.filter_bank import (
 )
 from shoal.config.controller import EstimatorConfig
 from shoal.config.vehicle import Vehicle
-from shoal.frames import TURN, Array
+from shoal.frames import Array
 from shoal.kernels.decorator import kernel
-from shoal.kernels.types import Floats, Ints, Table
+from shoal.kernels.types import Floats, Table
 
 KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of forces by how much more they change
     (1e-7, 0.5, 1.0),  # a basin at rest: 1 mm/s within 10 s
@@ -79,6 +79,7 @@ LASTING_SHARE, LASTS_S = 0.03, 10.0  # of thrust and drag: what lasts, as a cabl
 RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in a second: 4 % in a minute
 BIAS_RADPS_PER_SQRT_S = 1e-5  # the same of the gyroscope's bias: its sensor warms up within minutes
 SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: makers say within 10 %
+OUTLIER = 5.0  # standard deviations: a pose that is farther off counts less
 BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
 GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
@@ -94,56 +95,18 @@ BANDWIDTH_S = 4.0  # over which the bandwidth is averaged
 
 LEARNS, FACED_X, FACED_Y, BANDWIDTH = range(4)  # of `track`
 LOGS = slice(17, 20)  # of the belief: ln of drag, thrust, moment per mass
-State12 = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 
 class LearnedModel(NamedTuple):
     """The model, and what is known of it."""
 
     nominal: Table  # (3, 4) by the vehicle file
-    model: Table  # (3, 4) as learned: written
-    sway: float
-    lag_s: float
+    motion: MotionModel  # its coefficients as learned: written
     estimates: float  # 1; 0: no disturbance, no current
     heave_radps: float  # bandwidth of the heave observer
     fastest_mps: float  # no current is faster
     most_n: float  # surge force and
     most_nm: float  # yaw moment of the thrusters
-
-
-class Commands(NamedTuple):
-    """Wrenches sent, as in `dynamics.propagate`."""
-
-    acts_ns: Ints
-    wrenches: Table
-    sent: int  # so many of them
-
-
-class Samples(NamedTuple):
-    """Depths and yaw rates, as in `dynamics.sensed_at`."""
-
-    sensed_ns: Ints
-    sensed: Table
-    taken: int  # so many of them
-
-
-class Sighting(NamedTuple):
-    """A pose with its variances."""
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    variance_m2: float
-    variance_rad2: float
-    stamp_ns: int  # not later than `Instants.at_ns`: there is none
-
-
-class Instants(NamedTuple):
-    """Instants of a step: of the belief, now, and when a command given now acts."""
-
-    at_ns: int
-    now_ns: int
-    acts_ns: int
 
 
 class Belief(NamedTuple):
@@ -152,23 +115,8 @@ class Belief(NamedTuple):
     numbers: Floats  # (NUMBERS,)
     track: Floats  # (4,): 1 if drag is learned, mean direction of late x, y, bandwidth rad/s
     deviation: Floats  # (12,) as `Deviations`
-    now: Table  # (4, 4) as `dynamics.observe`
+    now: Table  # (4, 4) as `Estimator._observe`
     action: Floats  # (12,)
-
-
-@kernel(part=True)
-def state_of(numbers: Floats) -> State12:
-    """State of a belief."""
-    return (
-        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8], numbers[9],
-        numbers[10], numbers[SIDE],
-    )  # fmt: skip
-
-
-@kernel(part=True)
-def gamma_of(numbers: Floats) -> tuple[float, float, float, float]:
-    """Own forces of a belief, per mass."""
-    return numbers[11], numbers[12], numbers[13], numbers[14]
 
 
 @kernel(part=True)
@@ -181,22 +129,22 @@ def rate_before(samples: Samples, after_ns: int, until_ns: int) -> int:
 
 
 @kernel(part=True)
-def cross(plant: LearnedModel, bank: Bank, noise: Noise, numbers: Floats, there: Floats, step_s: float, steps: int) -> None:
+def cross(learned: LearnedModel, bank: Bank, noise: Noise, numbers: Floats, there: Floats, step_s: float, steps: int) -> None:
     """Move the bank's errors on to the pose, `step_s` later, in equal `steps` between the belief and the state `there`."""
     f, q, dt = bank.work[0], bank.work[1, 0], step_s / steps
     is_held = True
-    for k, most in ((ACTING, plant.most_n), (ACTING + 1, plant.most_n), (ACTING + 2, plant.most_nm)):
+    for k, most in ((ACTING, learned.most_n), (ACTING + 1, learned.most_n), (ACTING + 2, learned.most_nm)):
         is_held &= max(abs(numbers[k]), abs(there[k])) < NEUTRAL * most
-    is_held &= max(abs(numbers[SIDE]), abs(there[STATES - 1])) < NEUTRAL * plant.most_n
+    is_held &= max(abs(numbers[SIDE]), abs(there[STATES - 1])) < NEUTRAL * learned.most_n
     between = np.empty(NUMBERS)
     for i in range(steps):
         share = (i + 0.5) / steps
         for k in range(11):
             between[k] = numbers[k] + share * (there[k] - numbers[k])
         between[SIDE] = numbers[SIDE] + share * (there[STATES - 1] - numbers[SIDE])
-        linearise(plant.model, plant.sway, between, dt, noise, f)
-        diffuse(plant.model, plant.sway, between, dt, noise, is_held, q)
-        predict(bank, plant.sway, between[3], dt, f, q)
+        linearise(learned.motion.coefficients, learned.motion.sway, between, dt, noise, f)
+        diffuse(learned.motion.coefficients, learned.motion.sway, between, dt, noise, is_held, q)
+        predict(bank, learned.motion.sway, between[3], dt, f, q)
 
 
 @kernel(part=True)
@@ -228,46 +176,47 @@ def weigh_pose(
 
 
 @kernel(part=True)
-def inject(plant: LearnedModel, numbers: Floats, change: Floats) -> None:
+def inject(learned: LearnedModel, numbers: Floats, change: Floats) -> None:
     """Add the mean error to the belief, and write what is learned into the model."""
     numbers[0] += change[X]
     numbers[1] += change[Y]
     numbers[3] += change[YAW]
     numbers[4] += change[U]
-    numbers[5] += plant.sway * change[V]
+    numbers[5] += learned.motion.sway * change[V]
     numbers[7] += change[R]
-    numbers[11] += plant.estimates * change[FORCE_U]
-    numbers[12] += plant.estimates * plant.sway * change[FORCE_V]
-    numbers[14] += plant.estimates * change[FORCE_R]
-    numbers[15] += plant.sway * change[CURRENT_X]
-    numbers[16] += plant.sway * change[CURRENT_Y]
+    numbers[11] += learned.estimates * change[FORCE_U]
+    numbers[12] += learned.estimates * learned.motion.sway * change[FORCE_V]
+    numbers[14] += learned.estimates * change[FORCE_R]
+    numbers[15] += learned.motion.sway * change[CURRENT_X]
+    numbers[16] += learned.motion.sway * change[CURRENT_Y]
     for i in range(3):
         numbers[17 + i] = min(max(numbers[17 + i] + change[DRAG + i], -MOST_LOG), MOST_LOG)
     numbers[20] += change[GYRO]
     fast = math.hypot(numbers[15], numbers[16])
-    if fast > plant.fastest_mps:  # what is beyond is the robot's motion through the water
-        beyond = 1.0 - plant.fastest_mps / fast
+    if fast > learned.fastest_mps:  # what is beyond is the robot's motion through the water
+        beyond = 1.0 - learned.fastest_mps / fast
         bx, by, cos, sin = beyond * numbers[15], beyond * numbers[16], math.cos(numbers[3]), math.sin(numbers[3])
         numbers[15] -= bx
         numbers[16] -= by
         numbers[4] += cos * bx + sin * by
-        numbers[5] += plant.sway * (cos * by - sin * bx)
+        numbers[5] += learned.motion.sway * (cos * by - sin * bx)
     d, t, n = math.exp(numbers[17]), math.exp(numbers[18]), math.exp(numbers[19])
+    model, nominal = learned.motion.coefficients, learned.nominal
     for i in range(2):
-        plant.model[0, i] = plant.nominal[0, i] / t
-        plant.model[1, i], plant.model[2, i] = plant.nominal[1, i] * d / t, plant.nominal[2, i] * d / t
+        model[0, i] = nominal[0, i] / t
+        model[1, i], model[2, i] = nominal[1, i] * d / t, nominal[2, i] * d / t
     for k in range(3):
-        plant.model[k, 3] = plant.nominal[k, 3] / n
+        model[k, 3] = nominal[k, 3] / n
 
 
 @kernel(part=True)
-def correct_heave(plant: LearnedModel, numbers: Floats, depth_m: float, step_s: float) -> None:
+def correct_heave(learned: LearnedModel, numbers: Floats, depth_m: float, step_s: float) -> None:
     """Correction (31) of heave."""
-    b1, b2, b3 = gains(plant.heave_radps, step_s)
+    b1, b2, b3 = gains(learned.heave_radps, step_s)
     error = depth_m - numbers[2]
     numbers[2] += b1 * error
     numbers[6] += b2 * error
-    numbers[13] += plant.estimates * b3 * error
+    numbers[13] += learned.estimates * b3 * error
 
 
 @kernel(part=True)
@@ -285,14 +234,14 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
 
 
 @kernel(part=True)
-def tell_ground(plant: LearnedModel, now: Table, water_x: float, water_y: float) -> None:
+def tell_ground(learned: LearnedModel, now: Table, water_x: float, water_y: float) -> None:
     """Change the rows of `now` that a current changes: velocities are over ground, and what a model of still water does not
     explain is the drag too."""
-    through_u, through_v = drag(plant.model, now[1, 0], now[1, 1])
+    through_u, through_v = drag(learned.motion.coefficients, now[1, 0], now[1, 1])
     cos, sin = math.cos(now[0, 3]), math.sin(now[0, 3])
     now[1, 0] += cos * water_x + sin * water_y
     now[1, 1] += cos * water_y - sin * water_x
-    over_u, over_v = drag(plant.model, now[1, 0], now[1, 1])
+    over_u, over_v = drag(learned.motion.coefficients, now[1, 0], now[1, 1])
     now[3, 0] += over_u - through_u
     now[3, 1] += over_v - through_v
 
@@ -323,7 +272,7 @@ def tell_deviations(p: Table, yaw: float, told: Floats) -> None:
 
 @kernel
 def observe(
-    plant: LearnedModel,
+    learned: LearnedModel,
     noise: Noise,
     bank: Bank,
     belief: Belief,
@@ -334,16 +283,11 @@ def observe(
 ) -> bool:
     """One step of the observer: the belief, corrected by a pose if there is a later one, and predicted to now and on to when a
     command given now acts. False, and the belief stays, if the pose is farther off than GATE_M or GATE_RAD."""
-    numbers, at_ns, stamp_ns, passes = belief.numbers, instants.at_ns, sighting.stamp_ns, True
+    numbers, motion, at_ns, stamp_ns, passes = belief.numbers, learned.motion, instants.at_ns, sighting.stamp_ns, True
     if stamp_ns > at_ns:
-        there = propagate(
-            plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma_of(numbers),
-            (numbers[15], numbers[16]), commands.acts_ns, commands.wrenches, commands.sent, at_ns, stamp_ns,
-        )  # fmt: skip
-        turned = np.fmod(sighting.yaw_rad - there[3], TURN)
-        turned = turned - TURN if turned >= math.pi else turned + TURN if turned < -math.pi else turned
-        ex, ey = sighting.x_m - there[0], sighting.y_m - there[1]
-        passes = math.hypot(ex, ey) <= GATE_M and abs(turned) <= GATE_RAD
+        water = (numbers[15], numbers[16])
+        there = propagate(motion, state_of(numbers), gamma_of(numbers), water, commands, at_ns, stamp_ns)
+        passes, ex, ey, turned = passes_gate(there, sighting)
         if passes:
             step_s = (stamp_ns - at_ns) * 1e-9
             steps = (stamp_ns - at_ns + LONGEST_STEP_NS - 1) // LONGEST_STEP_NS
@@ -351,14 +295,11 @@ def observe(
             sample, rate_error, late_s = rate_before(samples, at_ns, stamp_ns), math.nan, 0.0
             if sample >= 0:  # what the model expects at that instant: between two samples a light hull turns as it likes
                 sensed_ns = samples.sensed_ns[sample]
-                then = propagate(
-                    plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma_of(numbers), (numbers[15], numbers[16]),
-                    commands.acts_ns, commands.wrenches, commands.sent, at_ns, sensed_ns,
-                )  # fmt: skip
+                then = propagate(motion, state_of(numbers), gamma_of(numbers), water, commands, at_ns, sensed_ns)
                 rate_error = samples.sensed[sample, 1] - then[7] - numbers[20]
                 late_s = (stamp_ns - sensed_ns) * 1e-9
             interact(bank, -math.expm1(-step_s / KIND_LASTS_S))
-            cross(plant, bank, noise, numbers, arrived, step_s, steps)
+            cross(learned, bank, noise, numbers, arrived, step_s, steps)
             for i in range(11):
                 numbers[i] = arrived[i]
             numbers[SIDE] = arrived[STATES - 1]
@@ -369,25 +310,19 @@ def observe(
             weigh_pose(bank, (ex, ey, turned), rate_error, rate_variance, sighting, belief.track[LEARNS] > 0.0)
             change = bank.work[3, 3]
             merge(bank, change)
-            inject(plant, numbers, change)
-            depth = sensed_at(samples.sensed_ns, samples.sensed, samples.taken, 0, stamp_ns)
+            inject(learned, numbers, change)
+            depth = sensed_at(samples, 0, stamp_ns)
             if not math.isnan(depth):
-                correct_heave(plant, numbers, depth, step_s)
+                correct_heave(learned, numbers, depth, step_s)
             follow(bank, belief, sighting, step_s)
             at_ns = stamp_ns
     gamma, water = gamma_of(numbers), (numbers[15], numbers[16])
-    here = propagate(
-        plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma, water, commands.acts_ns, commands.wrenches,
-        commands.sent, at_ns, instants.now_ns,
-    )  # fmt: skip
-    then = propagate(
-        plant.model, plant.sway, plant.lag_s, here, gamma, water, commands.acts_ns, commands.wrenches, commands.sent,
-        instants.now_ns, instants.acts_ns,
-    )  # fmt: skip
+    here = propagate(motion, state_of(numbers), gamma, water, commands, at_ns, instants.now_ns)
+    then = propagate(motion, here, gamma, water, commands, instants.now_ns, instants.acts_ns)
     now = belief.now
     for i in range(4):
         now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
-    tell_ground(plant, now, water[0], water[1])
+    tell_ground(learned, now, water[0], water[1])
     tell_deviations(bank.mixed, numbers[3], belief.deviation)
     for i in range(STATES):
         belief.action[i] = then[i]
@@ -439,6 +374,8 @@ def _step_n(vehicle: Vehicle) -> float:
 class KalmanEstimator(Estimator):
     """One robot's observer; see `Estimator` for its use."""
 
+    numbers = NUMBERS
+
     def __init__(
         self, vehicle: Vehicle, model: Model, config: EstimatorConfig, dead_time_s: float, fastest_mps: float = math.inf
     ) -> None:
@@ -456,19 +393,18 @@ class KalmanEstimator(Estimator):
             work=np.empty((4, ERRORS, ERRORS)),
         )
         self._track, self._deviation = np.zeros(4), np.zeros(12)
-        super().__init__(model, config, dead_time_s, fastest_mps)
+        self._fastest_mps = fastest_mps
+        super().__init__(model, config, dead_time_s)
         self._gate_radps = max(GATE_S * vehicle.limits.wrench[2] / float(vehicle.inertia[3]), GATE_RADPS)
-        self._belief = np.zeros(NUMBERS)
 
     def tune(self, config: EstimatorConfig) -> None:
         """Use other settings from the next pose on; the estimate stays."""
         surge_n, _, yaw_nm = self._vehicle.limits.wrench[:3]
-        model, self._bandwidth_radps = self._model, config.bandwidth_radps
-        self._uses_yaw_rate, self._adaptive, self._steady = config.use_imu_yaw_rate, False, np.zeros((6, 6))
-        self._plant = LearnedModel(
-            model.nominal, model.coefficients, model.sway, model.lag_s, float(config.enabled), config.bandwidth_radps,
-            self._fastest_mps, surge_n, yaw_nm,
-        )  # fmt: skip
+        model = self._model
+        self._uses_yaw_rate = config.use_imu_yaw_rate
+        self._learned = LearnedModel(
+            model.nominal, model.motion, float(config.enabled), config.bandwidth_radps, self._fastest_mps, surge_n, yaw_nm
+        )
 
     def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
         """See `Estimator.update`. A belief that is no number any more is given up."""
@@ -485,7 +421,7 @@ class KalmanEstimator(Estimator):
         place, yaw, velocity, ground, rate, current = told[:6]
         own_force, ratios = self._deviation[6:9].copy(), Ratios(told[9], told[10], told[11])
         return estimate._replace(
-            drag_ratio=d, thrust_ratio=t, moment_ratio=n, bandwidth_radps=w, pace=min(w / self._bandwidth_radps, 1.0),
+            drag_ratio=d, thrust_ratio=t, moment_ratio=n, bandwidth_radps=w,
             deviations=Deviations(place, yaw, velocity, ground, rate, current, own_force, ratios),
         )  # fmt: skip
 
@@ -493,25 +429,25 @@ class KalmanEstimator(Estimator):
         at_ns = self._at_ns
         sighting = Sighting(0.0, 0.0, 0.0, 1.0, 1.0, at_ns) if pose is None else _sighting(pose)
         return observe(
-            self._plant,
+            self._learned,
             self._process,
             self._bank,
             Belief(self._belief, self._track, self._deviation, now, action),
-            Commands(self._acts_ns, self._wrenches, self._inputs),
-            Samples(self._sensed_ns, self._sensed, self._samples),
+            self._commands(),
+            self._sensed_samples(),
             sighting,
             Instants(at_ns, now_ns, now_ns + self._dead_ns),
         )
 
     def _begin(self, pose: PoseMeasurement) -> None:
         super()._begin(pose)
-        bank, noise, sway = self._bank, self._process, self._plant.sway
+        bank, noise, sway = self._bank, self._process, self._model.sway
         learned = np.array(bank.mixed[DRAG:, DRAG:])
         p = np.zeros((ERRORS, ERRORS))
         if learned.any():
             p[DRAG:, DRAG:] = learned
         else:
-            p[[DRAG, THRUST, MOMENT], [DRAG, THRUST, MOMENT]] = sway * self._plant.estimates * np.square(RATIOS)
+            p[[DRAG, THRUST, MOMENT], [DRAG, THRUST, MOMENT]] = sway * self._learned.estimates * np.square(RATIOS)
             p[GYRO, GYRO] = BIAS_RADPS**2
         sighting = _sighting(pose)
         p[X, X] = p[Y, Y] = sighting.variance_m2
@@ -543,7 +479,7 @@ def _within(variance: float, best: float, worst: float) -> float:
 
 def make_estimator(vehicle: Vehicle, model: Model, config: EstimatorConfig) -> Estimator:
     """The observer that a configuration asks for."""
-    dead_time_s, fastest_mps = vehicle.thruster.dead_time_s, vehicle.limits.speed_mps
+    dead_time_s = vehicle.thruster.dead_time_s
     if config.kind == "kalman":
-        return KalmanEstimator(vehicle, model, config, dead_time_s, fastest_mps)
-    return Estimator(model, config, dead_time_s, fastest_mps)
+        return KalmanEstimator(vehicle, model, config, dead_time_s, vehicle.limits.speed_mps)
+    return Estimator(model, config, dead_time_s)

@@ -39,7 +39,7 @@ class FeedbackLawConfig(Section):
     """Settings that all feedback laws have."""
 
     guidance_per_s2: NotNegative = 0.1
-    """Reference correction of this law, in the place of controller.guidance.position_gain_per_s2."""
+    """Correction by the reference heading, per position error."""
 
 
 class BacksteppingConfig(FeedbackLawConfig):

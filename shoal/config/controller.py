@@ -1,9 +1,8 @@
-"""Settings of the robots' control and safety: observer, heading, optimisation, distances, ages."""
+"""Settings of the robots' control and safety: observer, optimisation, distances, ages."""
 
 from itertools import accumulate, pairwise
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from shoal.config.baseline_controllers import (
@@ -29,7 +28,6 @@ LIVE = Live()
 Weight = Annotated[float, Field(ge=0, le=100)]
 InputWeight = Annotated[float, Field(ge=0, le=1e4)]
 Bandwidth = Annotated[float, Field(gt=0, le=50), LIVE]
-Gain = Annotated[float, Field(ge=0, le=10), LIVE]
 
 
 COAST_S = 1.0  # an estimate ends so long after its last pose: prediction alone is none any more
@@ -88,8 +86,8 @@ class EstimatorConfig(Section):
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
     kind: Literal["eso", "kalman"] = "kalman"
-    """Observer: poles at one bandwidth, or a bank of Kalman filters that knows a current from a force (docs/control.md). Not
-    given: `kalman` for `nmpc`, else `eso`."""
+    """Observer: the article's, or Kalman filters that know a current from a force (docs/control.md). Not given: `eso` for
+    `eso-mpc-article`, else `kalman`."""
     enabled: bool = True
     """Estimate the disturbance. False: the estimate is zero."""
     bandwidth_radps: Bandwidth = 2.0
@@ -100,37 +98,6 @@ class EstimatorConfig(Section):
     """Use the gyroscope's yaw rate."""
     sway: bool = True
     """Model sideways motion. False: the article's model, which cannot slide sideways."""
-    current_rate_radps: Gain = 0.15
-    """Rate at which a lasting side force is attributed to a current; 0: never."""
-    adaptive: bool = False
-    """Learn drag and thrust per mass in flight, and count poses by their covariance. For water that stands still: of a
-    current, some would be taken for drag."""
-
-    @property
-    def learns(self) -> bool:
-        """True if drag and thrust per mass are learned in flight."""
-        return self.adaptive or self.kind == "kalman"
-
-
-class GuidanceConfig(Section):
-    """Reference heading of the feedback laws, from the force the path asks for: without it a robot that cannot push sideways
-    never corrects a lateral error at walking pace."""
-
-    enabled: bool = True
-    """Correct lateral errors by the heading. False: the heading is the path's tangent."""
-    position_gain_per_s2: Gain = 0.08
-    """Correction per position error of a slow robot; fast ones feed back 1.6 times as quickly. 0.08 gives 0.28 rad/s."""
-    velocity_gain_per_s: Gain = 0.5
-    """Correction per velocity error. The default gives damping ratio 0.9."""
-    max_correction_rad: Annotated[float, Field(gt=0, lt=np.pi / 2), LIVE] = 1.4
-    """Largest turn away from the path's tangent."""
-    turning_force_n: Annotated[float, Field(gt=0, le=10), LIVE] = 0.02
-    """Size of a force that turns the heading. Forces well below it do not."""
-    filter_s: Annotated[float, Field(gt=0, le=30), LIVE] = 1.0
-    """Time constant of the force that feeds back; on slow paths slight forces, mostly noise, take three times as long. 2.0
-    overshoots by 4 cm."""
-    hold_radius_m: Annotated[float, Field(gt=0, le=5), LIVE] = 0.06
-    """Station keeping: nearer to the place than this, the heading stays as it is."""
 
 
 MOST_STEPS = 200  # of a horizon
@@ -140,8 +107,6 @@ class MpcConfig(Section):
     """Reach of plans and trajectories, and the article's linear model predictive control (35-40). What is not given is the
     article's under `eso-mpc-article`: horizon 25, blocks of fifteen ones, r = 0.01."""
 
-    solver: Literal["osqp", "daqp"] = "osqp"
-    """QP solver. `daqp` needs the package of that name."""
     horizon: Annotated[int, Field(ge=2, le=MOST_STEPS)] = 50
     """Prediction steps of controller.period_s. Not given: as many as reach 2.5 s ahead, 200 at most."""
     blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
@@ -191,8 +156,6 @@ class ControllerConfig(Section):
     """Numbers for a law of your own, in the order that it wants."""
     estimator: EstimatorConfig = EstimatorConfig()
     """Extended state observer."""
-    guidance: GuidanceConfig = GuidanceConfig()
-    """Reference heading of the feedback laws."""
     mpc: MpcConfig = MpcConfig()
     """Model predictive control."""
     nmpc: NonlinearMpcConfig = NonlinearMpcConfig()
@@ -235,13 +198,12 @@ class ControllerConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _has_what_goes_with_its_law(cls, given: Any) -> Any:
-        """Runs first. The nonlinear MPC looks 6 s ahead and more: over that time a current is not a force of the robot. The
-        article's model does not slide sideways."""
-        if not isinstance(given, dict) or (law := given.get("law", "nmpc")) == "nmpc":
+        """Runs first. The article has the observer (31), and its model does not slide sideways."""
+        if not isinstance(given, dict) or given.get("law") != "eso-mpc-article":
             return given
-        usual: dict[str, dict[str, Any]] = {"estimator": {"kind": "eso"}}
-        if law == "eso-mpc-article":
-            usual["estimator"]["sway"] = False
-            usual["mpc"] = {"horizon": 25, "blocks": (1,) * 15, "r": (0.01, 0.01, 0.01)}
+        usual: dict[str, dict[str, Any]] = {
+            "estimator": {"kind": "eso", "sway": False},
+            "mpc": {"horizon": 25, "blocks": (1,) * 15, "r": (0.01, 0.01, 0.01)},
+        }
         sections = {name: given.get(name, {}) for name in usual}  # a section that is no table is refused for itself
         return {**given, **{name: {**usual[name], **s} for name, s in sections.items() if isinstance(s, dict)}}

@@ -47,18 +47,14 @@ def tunable_parameters(controller: ControllerConfig) -> tuple[TunableParameter, 
 
 
 def _idle(controller: ControllerConfig) -> tuple[str, ...]:
-    """Parameters that another law has. A feedback law has gains of its own in the place of some: what it has
-    learnt rests on them, they stay."""
+    """Parameters that another law has."""
     match controller.law:
         case "eso-mpc-article":
-            return (f"{ROOT}.nmpc.", f"{ROOT}.guidance.")
+            return (f"{ROOT}.nmpc.",)
         case "nmpc":
-            return (
-                f"{ROOT}.mpc.q.", f"{ROOT}.mpc.r.", f"{ROOT}.guidance.", f"{ROOT}.estimator.yaw_bandwidth_radps",
-                f"{ROOT}.estimator.current_rate_radps",
-            )  # fmt: skip
+            return (f"{ROOT}.mpc.q.", f"{ROOT}.mpc.r.", f"{ROOT}.estimator.yaw_bandwidth_radps")
         case _:
-            return (f"{ROOT}.nmpc.", f"{ROOT}.mpc.", f"{ROOT}.guidance.position_gain_per_s2")
+            return (f"{ROOT}.nmpc.", f"{ROOT}.mpc.")
 
 
 def _within(prefix: str, section: Section) -> Iterator[TunableParameter]:

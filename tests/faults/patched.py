@@ -18,9 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import numpy as np
-
-from robot_agent.control.qp import ActiveSetFirst, Solution
+from robot_agent.control.nonlinear.planner import Planner
 from shoal.bus.bus import Bus
 from shoal.messages.messages import Command, Order
 from sim_bridge.sil import clock_shim
@@ -72,11 +70,12 @@ class Flaws:
 
     def install(self) -> None:
         """Build the flaws in."""
-        real_solve = ActiveSetFirst.solve
+        real_planner = Planner.step
 
-        def solve(solver: ActiveSetFirst, p: Any, q: Any, *rest: Any) -> Solution:
+        def improve(planner: Any, *problem: Any) -> Any:
             time.sleep(self.delay_s)  # a solver that waits is as late as one that computes
-            return Solution(np.zeros(len(q)), False, 0) if self.unsolved else real_solve(solver, p, q, *rest)
+            found = real_planner(planner, *problem)
+            return found._replace(rounds=0) if self.unsolved else found
 
         # an order that is lost on its way: every order of a bus goes through this one method
         real_ask = Bus._ask
@@ -86,7 +85,7 @@ class Flaws:
                 return 0, lambda: time.sleep(timeout_s)  # nobody answers
             return real_ask(bus, key, command, stamp_ns, timeout_s, only_after)
 
-        ActiveSetFirst.solve = solve  # type: ignore[assignment, method-assign]
+        Planner.step = improve  # type: ignore[assignment, method-assign]
         # an order that is lost on its way: every order of a bus goes through this one method
         Bus._ask = ask  # type: ignore[assignment, method-assign]
         for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGHUP, *LOST, *END_THREAD.values()):

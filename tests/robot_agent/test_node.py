@@ -12,6 +12,7 @@ import pytest
 
 from robot_agent import node
 from robot_agent.agent import Agent
+from robot_agent.control.live_tuning import LiveTuning
 from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController
 from robot_agent.host.step_clock import StepClock
 from shoal.bus.bus import Bus, Inbox
@@ -167,14 +168,14 @@ def test_a_step_that_waits_is_as_late_as_one_that_computes(running: Running, mon
 
 
 def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, building, built = NonlinearController.prepare_gains, threading.Event(), threading.Event()
+    real, building, built = LiveTuning.prepare, threading.Event(), threading.Event()
 
     def slowly(*arguments: Any) -> Any:
         building.set()
         assert built.wait(PATIENCE_S)
         return real(*arguments)
 
-    monkeypatch.setattr(NonlinearController, "prepare_gains", slowly)
+    monkeypatch.setattr(LiveTuning, "prepare", slowly)
     replies: list[Reply] = []
     tuner = threading.Thread(target=lambda: replies.append(running.order(Order.TUNE, tuning(POOL.controller))))
     tuner.start()

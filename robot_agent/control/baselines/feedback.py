@@ -44,20 +44,11 @@ class Feedback:
     def __init__(self, law: FeedbackLaw, vehicle: Vehicle, model: Model, period_s: float, horizon: int) -> None:
         self._law, self._model, self._period_s = law, model, period_s
         self._limit, self._step_limit = vehicle.limits.wrench, vehicle.limits.wrench_step(period_s)
-        self._eta = np.zeros((horizon + 1, 4))
-        self._fresh = True
+        self._nodes = horizon + 1
 
     def reset(self) -> None:
-        """Forget plan and memory."""
-        self._fresh = True
+        """Forget its memory."""
         self._law.reset()
-
-    def predicted_path(self, state: State | Array) -> Array:
-        """Return the last plan moved on by one step, or `state`, at all nodes, shape (horizon + 1, 4)."""
-        if self._fresh:
-            self._eta[:] = state[:4]
-            self._fresh = False
-        return self._eta
 
     def plan(
         self,
@@ -90,15 +81,12 @@ class Feedback:
             there = tracking_errors(self._model, state, unknown, goal[k], speed[k], change[k])
             thrust = self._limited(self._law.wrench(there), thrust)
         self._law.learn(now, short, self._period_s)
-        poses = np.array(eta)
-        self._eta[:-1], self._eta[-1] = poses[1:], poses[-1]
-        self._fresh = False
-        return MpcPlan(np.array(applied), poses, Solve.SOLVED, 0, 0.0, np.array(wanted))
+        return MpcPlan(np.array(applied), np.array(eta), Solve.SOLVED, 0, 0.0, np.array(wanted))
 
     def _give_up(self, state: State) -> MpcPlan:
         """Return no wrench and FAILED, and clear the memory that led to it."""
         self.reset()
-        return MpcPlan(np.zeros(3), np.tile(state[:4], (len(self._eta), 1)), Solve.FAILED, 0, 0.0)
+        return MpcPlan(np.zeros(3), np.tile(state[:4], (self._nodes, 1)), Solve.FAILED, 0, 0.0)
 
     def _limited(self, wanted: PerAxis, before: PerAxis) -> PerAxis:
         surge, heave, yaw = (

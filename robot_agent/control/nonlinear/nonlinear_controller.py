@@ -5,7 +5,7 @@ Data flow of `NonlinearController.step`; its interface is that of `Controller` (
     measurement -> KalmanEstimator (kalman.py)        state at the instant at which a command acts, current, own force
     goal        -> ReferenceSampler (reference.py)    reference at the nodes; on HOLD the place where the robot can stop
                 -> GiveWay (velocity_obstacles.py)    the same reference, or one around robots and obstacles in the way
-    neighbours  -> PlanSampler (neighbour_plans.py)   formation's pull (35), bodies to keep clear of (36)
+    neighbours  -> Formation (formation.py)           formation's pull (35), bodies to keep clear of (36)
                 -> set_course (course.py)             places, velocities, headings at the nodes
     estimate    -> derive (tuning.py)                 weights
                 -> Planner (planner.py)               one iteration on the plan: surge, sway, yaw; and on that of depth
@@ -18,12 +18,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_agent.control.controller import ControlOutput, GainSet
+from robot_agent.control.controller import ControlOutput
 from robot_agent.control.mpc import bridged_steps
 from robot_agent.control.nonlinear import tuning as tunings
 from robot_agent.control.nonlinear.course import HeadingRule, Turns, make_course, pulled, set_course, set_depth_course
-from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, PlanSampler, bodies_of, outlines_of
-from robot_agent.control.nonlinear.obstacle_rows import MovingBodies, Outlines, Surrounds
+from robot_agent.control.nonlinear.obstacle_rows import (
+    NO_BODIES,
+    MovingBodies,
+    Outlines,
+    Surrounds,
+    bodies_of,
+    outlines_of,
+)
 from robot_agent.control.nonlinear.planner import Planner, make_depth_start, make_start, resting_place
 from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundings, fly, make_flight, make_grid
 from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weights, make_memory, step_plan
@@ -79,13 +85,11 @@ class NonlinearController:
         self._step_s = tunings.step_s(vehicle)
         nodes_s = self._dead_s + self._grid.time_s  # the instant of action, then the nodes
         self.sampler = ReferenceSampler(nodes_s)
-        self.formation = Formation(config.mpc, safety, config.period_s, self._dead_s, room_m, vehicle.radius_m)
         # A leader's error is taken whole, others' in part: those may have been put into the water far from their paths.
         most_m = safety.join_within_m + (0.0 if has_leader else vehicle.limits.speed_mps * horizon_s)
-        self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader, most_m)
-        self._give_way = GiveWay(
-            vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands, tunings.agility(vehicle), urgent
-        )
+        self.formation = Formation(safety, nodes_s[1:], config.mpc.q_formation, has_leader, most_m)
+        times_s, agility = np.concatenate([[0.0], nodes_s]), tunings.agility(vehicle)
+        self._give_way = GiveWay(vehicle, times_s, config.period_s, agility, room_m, islands, urgent)
         self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
         self._depth, self._drift = make_memory(1), make_flight(len(self._axes))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
@@ -111,15 +115,11 @@ class NonlinearController:
         """Time between two poses of the plan that neighbours get."""
         return TOLD_S
 
-    def prepare_gains(self, config: ControllerConfig) -> GainSet:
-        """See `Controller`: nothing has to be built."""
-        return GainSet(config, None)
-
-    def adopt_gains(self, tuned: GainSet) -> None:
+    def adopt_gains(self, config: ControllerConfig) -> None:
         """Use other gains from the next step on. Estimate and plan are kept."""
-        self._config = tuned.config
-        self._estimator.tune(tuned.config.estimator)
-        self._plans.set_weight(tuned.config.mpc.q_formation)
+        self._config = config
+        self._estimator.tune(config.estimator)
+        self.formation.set_weight(config.mpc.q_formation)
 
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
         """Take note of the wrench asked for and delivered that really went out at `now_ns` instead of the last step's. What
@@ -147,8 +147,8 @@ class NonlinearController:
         self._take_up(goal, estimate)
         self._retune(estimate)
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
-        places, pull = self._plans.sample(predictions.neighbours, now_ns)
-        surrounds = self._surrounds(predictions, places, obstacles, estimate, now_ns)
+        pull = self.formation.pull(predictions, np.ones(4))
+        surrounds = self._surrounds(predictions, obstacles, estimate, now_ns)
         if isinstance(goal, Hold) and self._place is None:
             self._place = self._stop(goal, dynamics, start, surrounds)
         if isinstance(goal, Drive):
@@ -160,7 +160,8 @@ class NonlinearController:
             lead = self._give_way.way_around(reference, estimate.eta, predictions, keep_m, obstacles, now_ns)
         led = lead
         if pull is not None and isinstance(goal, Follow):
-            led = pulled(lead, np.concatenate([np.repeat(pull[:1], 2, axis=0), pull]))
+            moved, _ = pull
+            led = pulled(lead, np.concatenate([np.repeat(moved[:1], 2, axis=0), moved])[:, :3])
         found = self._improve(goal, led, dynamics, start, surrounds)
         dive = self._dive(estimate, led)
         self._off_m = math.hypot(*(reference.eta[0, :2] - estimate.eta[:2]).tolist())
@@ -204,18 +205,13 @@ class NonlinearController:
         self._calm_m = CALM * deviations.place_m
 
     def _surrounds(
-        self,
-        predictions: NeighbourPredictions,
-        places: Array,
-        obstacles: Sequence[Obstacle],
-        estimate: Estimate,
-        now_ns: int,
+        self, predictions: NeighbourPredictions, obstacles: Sequence[Obstacle], estimate: Estimate, now_ns: int
     ) -> Surrounds:
         """All that the plan keeps clear of."""
         here, bodies = complex(*estimate.action[:2].tolist()), NO_BODIES
-        if len(places):
+        if predictions.neighbours:
             keep, until = zip(*(self._distance(other, now_ns) for other in predictions.neighbours), strict=True)
-            bodies = bodies_of(places, np.array(keep), np.array(until), self._depth.flight.state[:, 0], here)
+            bodies = bodies_of(predictions.pose, np.array(keep), np.array(until), self._depth.flight.state[:, 0], here)
         near = (*self._islands, *obstacles)
         outlines = outlines_of(near, now_ns + round(self._dead_s * 1e9), here) if near else self._open_water.outlines
         return Surrounds(bodies, outlines, self._room_m)

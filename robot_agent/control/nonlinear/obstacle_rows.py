@@ -8,11 +8,14 @@ A robot that is nearer already only has to get away: its row asks for the distan
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from robot_agent.control.nonlinear.prediction import NODES, Grid, X, Y
+from robot_agent.guidance.obstacles import Obstacle
+from shoal.frames import Array
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Cube, Floats, Ints, Table
 
@@ -135,3 +138,28 @@ def find_rows(surrounds: Surrounds, grid: Grid, state: Table, rows: HalfPlanes) 
                 keep_off(rows, k, here, bodies.place[i, k, 0], bodies.place[i, k, 1], keep_m)
         for i in range(len(outlines.keep_m)):
             keep_off_outline(rows, k, here, at_s, outlines, i)
+
+
+def bodies_of(places: Array, keep_m: Array, until: Array, depth_m: Array, place: complex) -> MovingBodies:
+    """Robots to keep clear of at their `places` (robots, nodes, 4), each at its distance `keep_m` (robots,) for its first
+    `until` (robots,) nodes. One that is as far below or above our planned `depth_m` (nodes,) is out of the way."""
+    in_way = (np.abs(places[:, :, 2] - depth_m) < keep_m[:, None]) & (np.arange(NODES) < until[:, None])
+    first = places[:, 0]
+    apart_m = np.hypot(first[:, 0] - place.real, first[:, 1] - place.imag)
+    return MovingBodies(np.ascontiguousarray(places[:, :, :2]), np.where(in_way, keep_m[:, None], 0.0), apart_m)
+
+
+NO_BODIES = MovingBodies(np.zeros((0, NODES, 2)), np.zeros((0, NODES)), np.zeros(0))
+
+
+def outlines_of(obstacles: Sequence[Obstacle], at_ns: int, place: complex) -> Outlines:
+    """Obstacles and islands as they are at the instant of action, for a robot at `place`."""
+    points = [obstacle.edge_points + obstacle.displacement(at_ns) for obstacle in obstacles]
+    first = np.cumsum([0, *(len(edge) for edge in points)])
+    together = np.concatenate(points) if points else np.zeros(0, np.complex128)
+    velocity = np.array([(obstacle.velocity.real, obstacle.velocity.imag) for obstacle in obstacles]).reshape(-1, 2)
+    apart_m = np.array([float(np.abs(edge - place).min()) for edge in points])
+    return Outlines(
+        np.ascontiguousarray(np.column_stack([together.real, together.imag])), first.astype(np.int64), velocity,
+        np.array([obstacle.clearance_m for obstacle in obstacles]), apart_m,
+    )  # fmt: skip

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_agent.control.active_set import NO_BOUND, solve_from
+from robot_agent.control.active_set import NO_BOUND, ActiveSet, ConvexProgram, solve_from
 from robot_agent.control.nonlinear.obstacle_rows import MOST_ROWS, HalfPlanes, Surrounds, find_rows, make_half_planes
 from robot_agent.control.nonlinear.prediction import (
     NODES,
@@ -299,9 +299,9 @@ def improve(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
     condense(dynamics, grid, problem, flight, program)
     count = set_bounds(grid, problem, memory)
     rounds = solve_from(
-        program.hessian, program.gradient, program.matrix[:count], program.lower[:count], program.upper[:count],
-        program.held[:count], program.work, program.multiplier, program.change, program.dual[:count],
-    )  # fmt: skip
+        ConvexProgram(program.hessian, program.gradient, program.matrix[:count], program.lower[:count], program.upper[:count]),
+        ActiveSet(program.change, program.dual[:count], program.held[:count], program.work, program.multiplier),
+    )
     if rounds == 0:
         program.held[:] = 0
         return Iteration(before, before, 0.0, 0, deepest_entry(memory.rows, flight.state), memory.rows.used[0] > 0)

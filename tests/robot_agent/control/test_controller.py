@@ -191,23 +191,22 @@ def test_arrays_handed_out_are_never_written_again() -> None:
             assert np.array_equal(np.array(getattr(output, name)), value)
 
 
-@pytest.mark.parametrize(("solver", "off"), [("daqp", 1e-6), ("osqp", 0.02)])  # of 3 N
-def test_gains_are_adopted_beside_another_robot_too(solver: str, off: float) -> None:
+def test_gains_are_adopted_beside_another_robot_too() -> None:
     """The plan has a slack then. With the gains that it had, it flies as one that adopts none."""
-    config = load_experiment("pool", ["controller.law=eso-mpc-article", f'controller.mpc.solver="{solver}"']).controller
+    config = load_experiment("pool", ["controller.law=eso-mpc-article"]).controller
     near = np.tile([1.1, 0.0, 0.3, 0.0], (51, 1))
     flown = []
     for adopts in (False, True):
         one = Controller(POOL.vehicle, config, POOL.safety)
         for k in range(1, 12):
             if adopts and k == 11:
-                one.adopt_gains(one.prepare_gains(config))
+                one.adopt_gains(config)
             output = one.step(at(k), GOAL, [Neighbour(2, k * STEP_NS, Plan(0.05, near, near), True)], k * STEP_NS)
             check(output)
         assert output.solve is Solve.SOLVED and output.slack_m > 0.05
         flown.append(output)
-    assert flown[1].wrench == pytest.approx(flown[0].wrench, abs=off)
-    assert flown[1].plan_eta == pytest.approx(flown[0].plan_eta, abs=off)
+    assert np.array_equal(flown[1].wrench, flown[0].wrench)
+    assert np.array_equal(flown[1].plan_eta, flown[0].plan_eta)
 
 
 @settings(max_examples=60, deadline=None)

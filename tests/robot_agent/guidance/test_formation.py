@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from robot_agent.guidance.formation import MEANT_S, NEAREST, NOWHERE, Formation, HalfSpaces, Neighbour, Priority
 from shoal.frames import Array
 from shoal.messages.messages import Plan
-from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS, expecting
+from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS
 
 EQUAL = Priority(False, 0.0)
 
@@ -22,9 +22,14 @@ def plan(
     **rank: object,
 ) -> Plan:
     eta = np.zeros((STEPS, 4))
-    eta[:, :2] = np.array(start) + PERIOD_S * np.arange(STEPS)[:, None] * np.array(velocity)
+    eta[:, :2] = np.array(start) + PERIOD_S * np.arange(STEPS, dtype=np.float64)[:, None] * np.array(velocity)
     fields = {"tracking_error_m": 0.0, "urgent": False, **rank}
     return Plan(PERIOD_S, eta, eta - np.array(off), **fields)  # type: ignore[arg-type]
+
+
+def at(x: float, y: float = 0.0, z: float = 0.0) -> Array:
+    """Our pose (4,)."""
+    return np.array([x, y, z, 0.0])
 
 
 def neighbour(p: Plan, stamp_ns: int = 0, fresh: bool = True, robot: int = 2, hears_us: bool = True) -> Neighbour:
@@ -32,35 +37,44 @@ def neighbour(p: Plan, stamp_ns: int = 0, fresh: bool = True, robot: int = 2, he
 
 
 def formation() -> Formation:
-    return Formation(CONFIG, SAFETY, PERIOD_S)
+    return Formation(SAFETY, PERIOD_S * np.arange(STEPS, dtype=np.float64), CONFIG.q_formation, has_leader=False)
 
 
 def test_pull_is_the_sum_of_weighted_deviations() -> None:
     """argmin of ||e||_Q^2 + sum ||e - dev_j||_Qij^2 is sum Qij dev_j / (Q + sum Qij): what the reference is moved by."""
     both = [neighbour(plan((1, 0), off=(0.1, 0.2, 0.3, 0.4))), neighbour(plan((2, 0), off=(-0.3, 0, 0, 0)), robot=3)]
     predictions = formation().predict_neighbours(both, 0)
-    assert predictions.weighted_deviation[10] == pytest.approx(0.15 * np.array([-0.2, 0.2, 0.3, 0.4]))
-    assert predictions.weight == pytest.approx(np.full(4, 0.3)) and predictions.fresh_count == 2
+    found = formation().pull(predictions, np.full(4, 2.0))
+    assert found is not None and predictions.members == 2
+    assert found[0][10] == pytest.approx(0.15 * np.array([-0.2, 0.2, 0.3, 0.4]) / 2.3)
+    assert found[1] == pytest.approx(np.full(4, 2.3))
+
+
+def test_a_leaders_deviation_is_followed_whole() -> None:
+    led = Formation(SAFETY, PERIOD_S * np.arange(STEPS, dtype=np.float64), (1.0, 1.0, 1.0, 1.0), has_leader=True)
+    found = led.pull(led.predict_neighbours([neighbour(plan((1, 0), off=(0.1, 0.2, 0.3, 0.4)))], 0), np.full(4, 2.0))
+    assert found is not None and found[1] == pytest.approx(np.full(4, 2.0))
+    assert found[0][10] == pytest.approx(np.array([0.1, 0.2, 0.3, 0.4]))
 
 
 def test_plans_are_read_at_our_instants() -> None:
     predictions = formation().predict_neighbours([neighbour(plan((0, 0), (0.2, 0.1)), stamp_ns=0)], 7 * NS // 40)
-    assert predictions.position[0, 0] == pytest.approx((0.2 + 0.1j) * 0.675)  # node 10 of ours, 13.5 of theirs
-    assert predictions.position[0, -1] == pytest.approx((0.2 + 0.1j) * 2.5)  # the plan's end stands
+    assert predictions.pose[0, 10, :2] == pytest.approx(np.array([0.2, 0.1]) * 0.675)  # node 10 of ours, 13.5 of theirs
+    assert predictions.pose[0, -1, :2] == pytest.approx(np.array([0.2, 0.1]) * 2.5)  # the plan's end stands
 
 
 def test_plans_with_steps_of_another_length_are_read_at_our_instants() -> None:
     slow = plan((0, 0), (0.2, 0.1), off=(0.1, 0, 0, 0))
     slow = dataclasses.replace(slow, period_s=0.08, eta=slow.eta[:40], eta_reference=slow.eta_reference[:40])
     predictions = formation().predict_neighbours([neighbour(slow), neighbour(plan((0, 0)))], NS // 10)
-    assert predictions.position[0, 0] == pytest.approx((0.2 + 0.1j) * 0.05 * 0.6 / 0.08)
-    assert predictions.position[0, -1] == pytest.approx((0.2 + 0.1j) * 0.05 * 2.6 / 0.08)
-    assert predictions.weighted_deviation[:, 0] == pytest.approx(np.full(STEPS, 0.015))
+    assert predictions.pose[0, 10, :2] == pytest.approx(np.array([0.2, 0.1]) * 0.05 * 0.6 / 0.08)
+    assert predictions.pose[0, -1, :2] == pytest.approx(np.array([0.2, 0.1]) * 0.05 * 2.6 / 0.08)
+    assert predictions.deviation[:, 0] == pytest.approx(np.full(STEPS, 0.1))
 
 
 def test_yaw_deviation_is_wrapped() -> None:
     predictions = formation().predict_neighbours([neighbour(plan((1, 0), off=(0, 0, 0, 6.2)))], 0)
-    assert predictions.weighted_deviation[0, 3] == pytest.approx(0.15 * (6.2 - 2 * np.pi))
+    assert predictions.deviation[0, 3] == pytest.approx(6.2 - 2 * np.pi)
 
 
 def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() -> None:
@@ -68,7 +82,7 @@ def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() ->
     sizes = [formation().required_clearance_m(silent, EQUAL, s * NS) for s in (1, 3, 30, 58, 3600)]
     assert sizes == pytest.approx([0.7, 0.9, 1.1, 0.8, 0.6])  # 2R + 0.1 m/s, at most 0.5 m more, and 2R again after a minute
     predictions = formation().predict_neighbours([silent], NS)
-    assert not predictions.weighted_deviation.any() and not predictions.weight.any() and predictions.fresh_count == 0
+    assert formation().pull(predictions, np.ones(4)) is None and predictions.neighbours == [silent]
 
 
 @pytest.mark.parametrize(
@@ -125,24 +139,24 @@ def half_spaces(others: list[Neighbour], own: Array, rank: Priority = EQUAL, now
 
 def test_half_spaces_only_when_it_gets_close() -> None:
     here = [neighbour(plan((0, 0)))]
-    assert len(half_spaces(here, expecting(0.66)).node) == 0  # 2R + margin = 0.65
-    assert len(half_spaces(here, expecting(0.64)).node) == 5
+    assert len(half_spaces(here, at(0.66)).node) == 0  # 2R + margin = 0.65
+    assert len(half_spaces(here, at(0.64)).node) == 5
 
 
 def test_half_spaces_of_a_silent_robot_come_sooner() -> None:
     silent = [neighbour(plan((0, 0)), fresh=False)]
-    assert len(half_spaces(silent, expecting(1.0), now_ns=NS).node) == 0
-    assert half_spaces(silent, expecting(1.0), now_ns=5 * NS).offset == pytest.approx(np.full(5, 1.1))
+    assert len(half_spaces(silent, at(1.0), now_ns=NS).node) == 0
+    assert half_spaces(silent, at(1.0), now_ns=5 * NS).offset == pytest.approx(np.full(5, 1.1))
 
 
 def test_robot_of_higher_priority_sees_no_half_spaces() -> None:
     here = [neighbour(plan((0, 0), tracking_error_m=0.2)), neighbour(plan((0.5, 1.0), tracking_error_m=0.0), robot=3)]
-    rows = half_spaces(here, expecting(0.5, 0.5), Priority(False, 0.1))
+    rows = half_spaces(here, at(0.5, 0.5), Priority(False, 0.1))
     assert rows.offset == pytest.approx(np.full(5, -1.0 + 0.6)) and np.allclose(rows.normal, -1j)  # of the second one alone
 
 
 def test_half_spaces_are_tangent_to_the_circle_between_the_two() -> None:
-    rows = half_spaces([neighbour(plan((0.1, 0.2), (0.02, 0.0)))], expecting(0.4, 0.6))
+    rows = half_spaces([neighbour(plan((0.1, 0.2), (0.02, 0.0)))], at(0.4, 0.6))
     for node, normal, offset in zip(rows.node, rows.normal, rows.offset, strict=True):
         there = 0.1 + 0.02 * PERIOD_S * node + 0.2j
         line = 0.4 + 0.6j - there
@@ -152,18 +166,18 @@ def test_half_spaces_are_tangent_to_the_circle_between_the_two() -> None:
 
 def test_a_robot_well_below_is_out_of_the_way() -> None:
     here = [neighbour(plan((0, 0)))]
-    assert len(half_spaces(here, expecting(0.1, 0.0, 0.7)).node) == 0
-    assert len(half_spaces(here, expecting(0.1, 0.0, 0.5)).node) == 5
+    assert len(half_spaces(here, at(0.1, 0.0, 0.7)).node) == 0
+    assert len(half_spaces(here, at(0.1, 0.0, 0.5)).node) == 5
 
 
 def test_on_top_of_one_another_there_is_a_way_out() -> None:
-    rows = half_spaces([neighbour(plan((0, 0)))], expecting(0.0))
+    rows = half_spaces([neighbour(plan((0, 0)))], at(0.0))
     assert np.abs(rows.normal) == pytest.approx(np.ones(5))
 
 
 def test_the_nearest_count_when_there_are_too_many() -> None:
     crowd = [neighbour(plan((0.3 + 0.05 * i, 0.0)), robot=i + 2) for i in range(6)]
-    rows = half_spaces(crowd, expecting(0.0))
+    rows = half_spaces(crowd, at(0.0))
     assert len(rows.node) == 5 * NEAREST == formation().rows
     assert rows.offset.min() == pytest.approx(-0.45 + 0.6)  # of the fourth; the fifth and sixth are left out
 
@@ -174,8 +188,8 @@ def test_a_plan_with_nonsense_is_no_plan(poison: float) -> None:
     bad.eta[3, 1] = poison
     good = neighbour(plan((1, 0), off=(0.1, 0, 0, 0)), robot=3)
     predictions = formation().predict_neighbours([neighbour(bad), neighbour(Plan(PERIOD_S)), good], 0)
-    assert predictions.fresh_count == 1 and predictions.neighbours == [good]
-    assert predictions.weighted_deviation[:, 0] == pytest.approx(np.full(STEPS, 0.015))
+    assert predictions.members == 1 and predictions.neighbours == [good]
+    assert predictions.deviation[:, 0] == pytest.approx(np.full(STEPS, 0.1))
 
 
 @pytest.mark.parametrize("laps", [300, 30_000])
@@ -183,10 +197,10 @@ def test_a_robot_that_has_flown_many_laps_is_still_there(laps: int) -> None:
     p = plan((0, 0), off=(0.1, 0.2, 0.3, 0.4))
     turned = np.array([0.0, 0.0, 0.0, 2.0 * np.pi * laps])
     later = dataclasses.replace(p, eta=p.eta + turned, eta_reference=p.eta_reference + turned)
-    assert formation().predict_neighbours([neighbour(later)], 0).weighted_deviation == pytest.approx(
-        formation().predict_neighbours([neighbour(p)], 0).weighted_deviation
+    assert formation().predict_neighbours([neighbour(later)], 0).deviation == pytest.approx(
+        formation().predict_neighbours([neighbour(p)], 0).deviation
     )
-    assert len(half_spaces([neighbour(later)], expecting(0.64)).node) == 5
+    assert len(half_spaces([neighbour(later)], at(0.64)).node) == 5
 
 
 def test_where_each_is_now_and_means_to_go_read_from_each_plan_alone() -> None:
@@ -213,29 +227,3 @@ def test_a_plan_leans_against_a_half_space_that_it_is_close_to_or_in(x_m: float,
     eta[2, :2] = x_m, 9.0
     assert HalfSpaces(np.array([2]), np.array([1 + 0j]), np.array([0.5])).binds(eta) is leans
     assert not NOWHERE.binds(eta)
-
-
-# --- walls
-
-
-def beside_a_wall(other: tuple[float, float], own: tuple[float, float]) -> HalfSpaces:
-    f = Formation(CONFIG, SAFETY, PERIOD_S, 0.0, (3.5, 2.5), 0.15)
-    return f.half_spaces(f.predict_neighbours([neighbour(plan(other))], 0), expecting(*own), EQUAL, 0)
-
-
-def test_next_to_a_wall_a_neighbours_lines_come_with_the_walls() -> None:
-    rows = beside_a_wall((1.0, 0.0), (1.54, 0.0))
-    towards = rows.normal == -1.0  # stay at -x >= -1.55: 5 cm beyond the hull of 15, in a pool that ends at 1.75
-    assert towards.sum() == 5 and rows.offset[towards] == pytest.approx(np.full(5, -1.55))
-    assert len(rows.node) == 10 and set(rows.node[towards]) == set(rows.node[~towards])
-
-
-@pytest.mark.parametrize(("own", "walls"), [((1.2, 0.0), set()), ((-1.52, -1.02), {1, 1j}), ((0.0, 1.02), {-1j})])
-def test_only_walls_that_are_near_get_lines(own: tuple[float, float], walls: set[complex]) -> None:
-    rows = beside_a_wall((own[0] - 0.4 if own[0] > 0 else own[0] + 0.4, own[1]), own)
-    assert {complex(n) for n in rows.normal[5:]} | {complex(n) for n in rows.normal[:5]} >= walls
-    assert len(rows.node) == 5 * (1 + len(walls))
-
-
-def test_a_robot_that_meets_nobody_has_no_walls() -> None:
-    assert len(beside_a_wall((-1.0, 0.0), (1.7, 0.0)).node) == 0

@@ -9,15 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robot_agent.control.nonlinear.tuning import agility
 from robot_agent.guidance.formation import Formation, Neighbour
 from robot_agent.guidance.reference import Reference
-from robot_agent.guidance.velocity_obstacles import NOBODY, SURE_S, GiveWay, Traffic, plain_agility, robot_traffic
+from robot_agent.guidance.velocity_obstacles import NOBODY, SURE_S, GiveWay, Traffic, robot_traffic
 from shoal.config.experiment import load_experiment
 from shoal.messages.messages import Plan
 
 EXPERIMENT = load_experiment("pool")
 VEHICLE = EXPERIMENT.vehicle
-ROOM_M = plain_agility(VEHICLE).room_m
+AGILITY = agility(VEHICLE)
+ROOM_M = AGILITY.room_m
 PERIOD_S, KEEP_M = 0.1, 0.6 + ROOM_M
 TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(26)])
 
@@ -31,7 +33,7 @@ class Point:
 
     def __init__(self, start: complex, end: complex, speed_mps: float, room_m: tuple[float, float] | None = None) -> None:
         self.place, self.start, self.end, self.speed_mps = start, start, end, speed_mps
-        self.give_way = GiveWay(VEHICLE, TIMES_S, PERIOD_S, room_m)
+        self.give_way = GiveWay(VEHICLE, TIMES_S, PERIOD_S, AGILITY, room_m)
         self.told = NOBODY
         self.velocity = 0j
 
@@ -79,7 +81,7 @@ def test_robot_in_the_way_is_seen_whatever_the_horizon(seconds: float) -> None:
     times_s = TIMES_S[: np.searchsorted(TIMES_S, seconds)]
     for ahead_m, leaves in ((1.0, True), (-1.0, False)):
         point = Point(0j, 5.0 + 0j, 0.1)
-        point.give_way = GiveWay(VEHICLE, times_s, PERIOD_S)
+        point.give_way = GiveWay(VEHICLE, times_s, PERIOD_S, AGILITY)
         left = []
         for k in range(6):
             whole = point.path(k * PERIOD_S)
@@ -192,7 +194,9 @@ def plan(urgent: bool = False, depth_m: float = 0.3) -> Plan:
 
 def met(neighbour: Neighbour, now_ns: int = 0, urgent: bool = False) -> Traffic:
     """Seen by a robot at 0.3 m."""
-    formation = Formation(EXPERIMENT.controller.mpc, EXPERIMENT.safety, 0.05, 0.05)
+    formation = Formation(
+        EXPERIMENT.safety, 0.05 * np.arange(1, 52, dtype=np.float64), EXPERIMENT.controller.mpc.q_formation, False
+    )
     predictions = formation.predict_neighbours([neighbour], now_ns)
     return robot_traffic(predictions, formation.clearances_m(predictions, now_ns), ROOM_M, 0.3, urgent)
 

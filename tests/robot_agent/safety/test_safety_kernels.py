@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from robot_agent.safety.likelihood_ratio import largest_evidence
+from robot_agent.safety.likelihood_ratio import Knowledge, Sought, largest_evidence
 from robot_agent.safety.output_check import LATELY_NS, LEAP_US, TOLERANCE_US, is_explained
 from robot_agent.safety.sent_commands import CommandRows, follow_commands, follow_legs
 
@@ -25,7 +25,8 @@ def test_evidence_is_that_of_inverse_matrices(seed: int) -> None:
             along, size = -rows[:, part] @ np.linalg.solve(s, residual), rows[:, part] @ np.linalg.solve(s, rows[:, part])
             share = np.clip(along / size, least, most)
             best = max(best, float(share * (along - 0.5 * share * size)))
-    evidence = largest_evidence(np.column_stack([x, y]), weights, begins, theta, covariance, 3, least, most)
+    known, sought = Knowledge(theta, covariance), Sought(3, least, most)
+    evidence = largest_evidence(np.column_stack([x, y]), weights, begins, known, sought)
     assert evidence == pytest.approx(best, rel=1e-7)
 
 

@@ -1,6 +1,5 @@
 """The observer against the truth it cannot see: convergence, delay, gaps, wrong order, nonsense."""
 
-import cmath
 import dataclasses
 import math
 from collections.abc import Callable
@@ -10,24 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.vehicle.dynamics import (
-    OUTLIER,
-    TELLS_MPS,
-    Model,
-    correct_heave_and_yaw,
-    correct_planar,
-    gains,
-    gains_with_rate,
-    propagate,
-    split_side_force,
-    spread,
-    sway_slope,
-    weigh,
-)
-from robot_agent.vehicle.eso import COAST_NS, POSE_M, POSE_S, Estimator
+from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.eso import COAST_NS, EsoSettings, Estimator, correct, gains, gains_with_rate
 from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
 from shoal.config.controller import EstimatorConfig
-from shoal.config.vehicle import Vehicle, load_vehicle
+from shoal.config.vehicle import load_vehicle
 from shoal.frames import Array, wrap
 from tests.robot_agent.water import integrate
 
@@ -155,85 +141,11 @@ def test_jittering_ages_are_no_noise() -> None:
 @pytest.mark.parametrize("gyro", [True, False])
 def test_constant_disturbances_are_found(gyro: bool) -> None:
     gamma = (0.01, -0.008, 0.0125, 0.05)
-    observer = estimator(current_rate_radps=0.0)  # else some of a force that turns with the robot is taken for a current
-    estimates, _ = fly(lambda t: (0.5, 0.0, 0.0), 15.0, observer, disturbance=gamma, gyro=gyro)
+    estimates, _ = fly(lambda t: (0.5, 0.0, 0.0), 15.0, estimator(), disturbance=gamma, gyro=gyro)
     last = estimates[-1]
     assert last is not None
     assert last.disturbance == pytest.approx(gamma, abs=1.5e-3)
     assert np.array_equal(last.gamma_still_water, last.disturbance) and last.current == 0j
-
-
-# --- currents
-
-
-def circling(t: float) -> Wrench:
-    return 1.0, 0.0, 0.04 if t > 1.0 else 0.0
-
-
-def test_a_current_is_found_once_the_robot_has_turned() -> None:
-    """Velocities over ground too, which a side force in its place does not give on a bend."""
-    current = 0.06 - 0.04j
-    found, flight = fly(circling, 60.0, estimator(), current=current)
-    last = found[-1]
-    assert last is not None and abs(last.current - current) < 0.004
-    late = np.abs(errors(found, flight, 45.0)).max(axis=0)
-    forces, flight = fly(circling, 60.0, estimator(current_rate_radps=0.0), current=current)
-    without = np.abs(errors(forces, flight, 45.0)).max(axis=0)
-    assert np.hypot(late[0], late[1]) < 0.001 and max(late[4:6]) < 0.002
-    assert np.hypot(without[0], without[1]) > 2 * np.hypot(late[0], late[1]) and max(without[4:6]) > 5 * max(late[4:6])
-
-
-def test_effect_of_a_current_is_told_as_the_disturbance_in_still_water() -> None:
-    """The acceleration over ground less what the nominal model gives for these velocities, by finite differences."""
-    found, flight = fly(circling, 60.0, estimator(), current=0.06 - 0.04j)
-    for k in range(1000, 1150, 10):
-        estimate, t = found[k], k * STEP_S
-        assert estimate is not None
-        before, here, after = (flight.true(t + shift) for shift in (-0.025, 0.0, 0.025))
-        still = integrate(VEHICLE, before, constant(circling(t)), 0.05)  # its thrust is steady by now
-        assert estimate.gamma_still_water[:2] == pytest.approx((after - still)[4:6] / 0.05, abs=4e-3), here
-
-
-def predicted(v: float, side: float, current: complex) -> Array:
-    """Place (2,) 0.1 s on of a robot with the yaw YAW_RAD and a surge of 0.15 m/s, without thrust."""
-    model, state = Model(VEHICLE), (0.0, 0.0, 0.3, YAW_RAD, 0.15, v, *[0.0] * 6)
-    never, nothing = np.zeros(1, dtype=np.int64), np.zeros((1, 4))
-    water = (current.real, current.imag)
-    gamma = (0.0, side, 0.0, 0.0)
-    return np.array(
-        propagate(model.coefficients, model.sway, model.lag_s, state, gamma, water, never, nothing, 0, 0, 100_000_000)
-    )[:2]
-
-
-def test_sharing_out_a_side_force_changes_no_prediction_at_this_heading() -> None:
-    slope, share = (
-        sway_slope(Model(VEHICLE).coefficients, 0.15, 0.02),
-        -math.expm1(-EstimatorConfig().current_rate_radps * 0.05),
-    )
-    side, current, drift = split_side_force(0.01, 0j, YAW_RAD, slope, share, math.inf)
-    assert side < 0.01 and abs(current) > 1e-4
-    carried_m = abs(current) * 0.1
-    assert predicted(0.02 - drift, side, current) == pytest.approx(predicted(0.02, 0.01, 0j), abs=0.02 * carried_m)
-
-
-def test_no_current_is_believed_that_nobody_could_swim_against() -> None:
-    observer = Estimator(Model(VEHICLE), EstimatorConfig(current_rate_radps=1.0), DEAD_S, fastest_mps=0.05)
-    found, _ = fly(circling, 20.0, observer, current=0.4j)
-    assert max(abs(e.current) for e in found if e is not None) <= 0.05 + 1e-12
-
-
-def test_at_the_strongest_current_too_sharing_out_changes_no_prediction() -> None:
-    """The rest that no current can explain stays a side force, and does not change the velocity."""
-    slope, share = (
-        sway_slope(Model(VEHICLE).coefficients, 0.15, 0.02),
-        -math.expm1(-EstimatorConfig().current_rate_radps * 0.05),
-    )
-    for turned in (0.5 * math.pi, 0.5 * math.pi + 0.7):  # from the current to where the side force points
-        believed = 0.05 * cmath.exp(1j * (YAW_RAD + 0.5 * math.pi - turned + 0.5 * math.pi))
-        side, current, drift = split_side_force(0.4, believed, YAW_RAD, slope, share, 0.05)
-        assert abs(current) <= 0.05 + 1e-12
-        before, after = predicted(0.02, 0.4, believed), predicted(0.02 - drift, side, current)
-        assert after == pytest.approx(before, abs=0.05 * 0.1 * 0.02)
 
 
 def test_without_sway_the_side_channel_stays_silent() -> None:
@@ -448,177 +360,22 @@ def test_no_input_makes_it_lose_its_numbers(rows: list[Row]) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_correction_is_equation_31_in_matrices(seed: int) -> None:
-    """Heave and yaw by its gains; the planar part by a change in body axes, whose side force is shared out."""
-    random = np.random.default_rng(seed)
-    config = EstimatorConfig(enabled=seed % 3 != 0, sway=seed % 4 != 0)
-    belief, change, error_yaw = 0.1 * random.normal(size=19), 0.05 * random.normal(size=8), 0.05 * random.normal()
-    belief[17:] = 1.2, 0.9
-    step_s, on = float(random.uniform(0.02, 0.3)), float(config.enabled)
+    """eta += b1 e, nu += b2 J' e, Gamma += b3 J' e; the gyroscope's rate in the place of the heading's for nu and Gamma."""
+    random, on, sway = np.random.default_rng(seed), float(seed % 3 != 0), float(seed % 4 != 0)
+    belief, error = 0.1 * random.normal(size=18), 0.05 * random.normal(size=3)
+    step_s, settings_ = float(random.uniform(0.02, 0.3)), EsoSettings(2.0, 4.0, on)
     depth_m, rate_radps = (math.nan if seed % 2 else 0.3), (math.nan if seed % 5 == 0 else 0.1)
-    model, found = Model(VEHICLE), belief.copy()
-    rate = config.current_rate_radps * config.sway
-    settings_ = np.array((config.bandwidth_radps, config.yaw_bandwidth_radps, on, math.inf, rate))
-    correct_planar(model.nominal, model.coefficients, found, change, step_s, settings_)
-    correct_heave_and_yaw(
-        found, error_yaw, depth_m, rate_radps, step_s, config.bandwidth_radps, config.yaw_bandwidth_radps, on
-    )
+    found, expected = belief.copy(), belief.copy()
+    correct(settings_, sway, found, tuple(error.tolist()), depth_m, rate_radps, step_s)
 
-    expected = belief.copy()
-    expected[[0, 1, 4, 5, 11, 12, 17, 18]] += change
-    drag, thrust = expected[17:]
-    mass = np.array(model.mass[:2]) / thrust
-    linear, quadratic = (np.array(d[:2]) * drag / thrust for d in (model.linear, model.quadratic))
-    assert model.coefficients[:, :2] == pytest.approx(np.array([mass, linear, quadratic]))
-    if config.sway:
-        u, v = expected[4:6]
-        slope = (linear[1] + quadratic[1] * (np.hypot(u, v) + v**2 / np.hypot(u, v))) / mass[1]
-        drift = (1.0 - np.exp(-rate * step_s)) * expected[12] / slope
-        expected[12], expected[5] = expected[12] - drift * slope, v - drift
-        expected[15:17] += drift * np.array([-np.sin(belief[3]), np.cos(belief[3])])
+    (b1, b2, b3), turn = gains(2.0, step_s), belief[3]
+    body = np.array([[np.cos(turn), np.sin(turn)], [-sway * np.sin(turn), sway * np.cos(turn)]]) @ error[:2]
+    expected[:2] += b1 * error[:2]
+    expected[4:6] += b2 * body
+    expected[11:13] += on * b3 * body
     if not math.isnan(depth_m):
-        expected[[2, 6, 13]] += np.array(gains(config.bandwidth_radps, step_s)) * [1, 1, on] * (depth_m - belief[2])
-    yaw_gains = (gains if math.isnan(rate_radps) else gains_with_rate)(config.yaw_bandwidth_radps, step_s)
-    off = error_yaw if math.isnan(rate_radps) else rate_radps - belief[7]
-    expected[[3, 7, 14]] += np.array(yaw_gains) * [error_yaw, off, on * off]
+        expected[[2, 6, 13]] += np.array([b1, b2, on * b3]) * (depth_m - belief[2])
+    yaw_gains = (gains if math.isnan(rate_radps) else gains_with_rate)(4.0, step_s)
+    off = error[2] if math.isnan(rate_radps) else rate_radps - belief[7]
+    expected[[3, 7, 14]] += np.array(yaw_gains) * [error[2], off, on * off]
     assert found == pytest.approx(expected, abs=1e-9)
-
-
-def planar_step(x: Array, yaw: float, rate: float, surge_n: float, dt: float) -> Array:
-    """Planar belief (8,) `dt` later by the model's equations, with drag and thrust per mass as its last two numbers."""
-    model = Model(VEHICLE)
-    model.coefficients[0, :2] /= x[7]
-    model.coefficients[1:, :2] *= x[6] / x[7]
-    thrust = (surge_n, 0.0, 0.0)
-    state = (x[0], x[1], 0.3, yaw, x[2], x[3], 0.0, rate, *thrust)
-    after = model.advance(state, (x[4], x[5], 0.0, 0.0), thrust, dt)
-    return np.array((*after[:2], *after[4:6], *x[4:]))
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_spread_is_that_of_finite_differences(seed: int) -> None:
-    """Unit by unit: a covariance of e_j e_j^T becomes f_j f_j^T. Drag of one axis by the speed of the other is left out."""
-    random, dt = np.random.default_rng(seed), 0.05
-    belief = np.zeros(19)
-    belief[[3, 4, 5, 7, 8]] = random.uniform(-3, 3), random.uniform(0.2, 0.4), random.uniform(-0.02, 0.02), 0.3, 2.0
-    belief[17:] = 1.0
-    x = np.array((0, 0, belief[4], belief[5], 0, 0, 1, 1), dtype=np.float64)
-    speed = math.hypot(belief[4], belief[5])
-    for j in range(8):
-        step = 1e-5 * np.eye(8)[j]
-        forward, backward = (planar_step(x + d, belief[3], belief[7], belief[8], dt) for d in (step, -step))
-        expected = (forward - backward) / 2e-5
-        if j >= 6:
-            expected[:6] *= speed**4 / (speed**4 + TELLS_MPS**4)
-        p = np.outer(np.eye(8)[j], np.eye(8)[j])
-        spread(Model(VEHICLE).nominal, 1.0, belief, dt, np.zeros(8), p, np.empty((2, 8, 8)))
-        column = p[:, j] / math.sqrt(p[j, j])
-        assert column == pytest.approx(expected, abs=0.02 * dt * max(1.0, abs(belief[8])))
-
-
-@pytest.mark.parametrize("told", [0.0, 0.5, 30.0])
-@pytest.mark.parametrize("far", [False, True])
-def test_weighing_is_kalmans_in_matrices(far: bool, told: float) -> None:
-    root, variance = np.random.default_rng(3).normal(size=(8, 8)), 0.5
-    p, error = root @ root.T, np.array([60.0, -20.0]) if far else np.array([0.4, -0.7])
-    h = np.eye(8)[:2]
-    s = h @ p @ h.T + variance * np.eye(2)
-    expected = h @ p @ h.T + max(variance, told) * np.eye(2)  # how far off a pose may be that says so of itself
-    s *= max(1.0, math.sqrt(error @ np.linalg.solve(expected, error)) / OUTLIER)
-    gain = p @ h.T @ np.linalg.inv(s)
-    found, change = p.copy(), np.empty(8)
-    weigh(found, float(error[0]), float(error[1]), variance, told, np.empty((8, 8)), change)
-    assert change == pytest.approx(gain @ error)
-    assert found == pytest.approx(p - gain @ s @ gain.T) and np.array_equal(found, found.T)
-
-
-def test_ordinary_poses_put_the_poles_at_the_bandwidth() -> None:
-    w = EstimatorConfig().bandwidth_radps
-    model, observer = Model(VEHICLE), estimator()
-    run_at_rest(observer, POSE_M**2)
-    p, noise = observer._covariance.copy(), observer._noise  # private: what the gains come from is told nowhere
-    gain, change = np.empty((8, 8)), np.empty(8)
-    spread(model.nominal, 1.0, np.array([*np.zeros(17), 1.0, 1.0]), POSE_S, noise, p, np.empty((2, 8, 8)))
-    weigh(p, 0.0, 0.0, POSE_M**2, 0.0, gain, change)
-    a = np.array([[1, POSE_S, POSE_S**2 / 2], [0, 1, POSE_S], [0, 0, 1]])
-    poles = np.linalg.eigvals((np.eye(3) - np.outer(gain[[0, 2, 4], 0], [1, 0, 0])) @ a)
-    assert np.log(np.prod(poles).real) / POSE_S == pytest.approx(-3 * w, rel=0.1)  # their sum: drag pulls a triple root apart
-    assert np.abs(poles).max() < math.exp(-0.5 * w * POSE_S)
-
-
-def run_at_rest(observer: Estimator, variance_m2: float, noise_m: float = 0.0, steps: int = 300) -> list[Estimate]:
-    """A robot that stands still, seen in every step."""
-    random, found = np.random.default_rng(1), []
-    for k in range(1, steps + 1):
-        x, y = noise_m * random.normal(size=2)
-        estimate = observer.update(StateMeasurement(PoseMeasurement(k * STEP_NS, x, y, 0.0, variance_m2)), k * STEP_NS)
-        assert estimate is not None
-        found.append(estimate)
-    return found
-
-
-def test_poses_that_say_that_they_are_worse_move_velocity_and_disturbance_less() -> None:
-    told, untold = (run_at_rest(estimator(adaptive=True), variance, 0.005)[100:] for variance in (0.005**2, 0.0))
-    for part in ("nu", "disturbance"):
-        quiet, loud = (np.std([getattr(e, part)[:2] for e in run]) for run in (told, untold))
-        assert quiet < 0.55 * loud
-    assert told[-1].pace == pytest.approx((0.0015 / 0.005) ** (1 / 3), rel=0.01) and untold[-1].pace == 1.0
-
-
-@pytest.mark.parametrize("variance", [math.nan, math.inf, -1.0, 1e9])
-def test_a_variance_that_cannot_be_makes_no_estimate_wild(variance: float) -> None:
-    found = run_at_rest(estimator(adaptive=True), variance, 0.001)
-    assert all(np.isfinite(e.eta).all() and 0.25 < e.pace <= 1.0 for e in found) and np.abs(found[-1].eta[:2]).max() < 0.005
-
-
-def test_one_pose_that_is_far_off_within_the_gate_counts_little() -> None:
-    observer = estimator()
-    for k in range(1, 200):
-        pose = PoseMeasurement(k * STEP_NS, 0.1 if k == 150 else 0.0, 0.0, 0.0)
-        estimate = observer.update(StateMeasurement(pose), k * STEP_NS)
-        assert estimate is not None and abs(estimate.eta[0]) < 0.005 and abs(estimate.nu[0]) < 0.015
-
-
-# --- drag and thrust per mass
-
-
-def of_another_build(mass: float, drag: float) -> tuple[Model, Estimator, Callable[[Array, Wrench, float], Array]]:
-    """Model, observer, and a true robot whose mass and drag are `mass` and `drag` times those of the vehicle file."""
-    numbers = VEHICLE.model_dump()
-    for axis in ("surge_kg", "sway_kg"):
-        numbers["mass"][axis] *= mass
-    for kind, (u, v, *rest) in VEHICLE.drag.model_dump().items():
-        numbers["drag"][kind] = (drag * u, drag * v, *rest)
-    other = Vehicle.model_validate(numbers)
-    model = Model(VEHICLE)
-    return (
-        model,
-        Estimator(model, EstimatorConfig(adaptive=True), DEAD_S),
-        lambda x, wrench, dt: integrate(other, x, constant(wrench), dt, (0.0, 0.0, 0.0, 0.0), True, 400),
-    )
-
-
-@pytest.mark.parametrize(("mass", "drag"), [(0.7, 1.3), (1.3, 0.7), (1.0, 1.0)])
-def test_drag_and_thrust_per_mass_are_learned_in_bends(mass: float, drag: float) -> None:
-    model, observer, move = of_another_build(mass, drag)
-    state = np.array([0.0, 0.0, 0.3, 0.0, *([0.0] * 7)])
-    acts: Wrench = (0.0, 0.0, 0.0)
-    for k in range(800):
-        pose = PoseMeasurement(k * STEP_NS, state[0], state[1], wrap(state[3]))
-        observer.update(StateMeasurement(pose, state[2], state[7]), k * STEP_NS)
-        wrench = weave(k * STEP_S)
-        observer.note_wrench(wrench, k * STEP_NS)
-        state = move(state, acts, STEP_S)  # the dead time is a step
-        acts = wrench
-    m, linear, _ = model.coefficients[:, 1] / model.nominal[:, 1]
-    assert linear / m == pytest.approx(drag / mass, rel=0.1) and m == pytest.approx(mass, rel=0.15)
-    assert np.array_equal(model.coefficients[:, 2:], model.nominal[:, 2:])
-    told = observer.update(StateMeasurement(), 800 * STEP_NS)
-    assert told is not None and (told.drag_ratio, told.thrust_ratio) == pytest.approx((linear / m, 1.0 / m))
-
-
-def test_a_robot_that_hardly_moves_learns_nothing_of_its_drag() -> None:
-    """Pushed by 0.05 N that its thrusters did not give, at 2 cm/s."""
-    observer = estimator(adaptive=True)
-    fly(lambda t: (0.05, 0.0, 0.01 * math.sin(0.3 * t)), 30.0, observer, disturbance=(0.004, 0.002, 0.0, 0.0))
-    told = observer.update(StateMeasurement(), round(30.0 / STEP_S) * STEP_NS)
-    assert told is not None and max(abs(told.drag_ratio - 1.0), abs(told.thrust_ratio - 1.0)) < 0.03

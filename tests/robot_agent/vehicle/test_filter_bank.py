@@ -1,12 +1,13 @@
 """The bank's equations against others: differences for F, a dense filter in Joseph's form, moments of a mixture."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from robot_agent.vehicle import filter_bank
-from robot_agent.vehicle.dynamics import Model, advance
+from robot_agent.vehicle.dynamics import Model, MotionModel, advance
 from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, SIDE, Bank, MeasuredNumber, R, X, Y
 from robot_agent.vehicle.kalman import vehicle_noise
 from shoal.config.vehicle import Vehicle, load_vehicle
@@ -42,8 +43,9 @@ def moved(vehicle: Vehicle, numbers: Array, dt: float, thrust: tuple[float, ...]
     m[0, :2] /= math.exp(t)
     m[1:, :2] *= math.exp(d - t)
     m[:, 3] /= math.exp(n)
-    state = (x, y, 0.3, yaw, u, v, 0.0, r, *thrust)
-    after = advance(m, 1.0, model.lag_s, state, (b_u, b_v, 0.0, b_r), thrust, dt)
+    state: Any = (x, y, 0.3, yaw, u, v, 0.0, r, *thrust)
+    push: Any = thrust
+    after = advance(MotionModel(m, 1.0, model.lag_s), state, (b_u, b_v, 0.0, b_r), push, dt)
     return np.array([after[0] + c_x * dt, after[1] + c_y * dt, after[3], after[4], after[5], after[7]])
 
 

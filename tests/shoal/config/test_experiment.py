@@ -211,8 +211,7 @@ def test_keys_that_cannot_be_guessed_have_no_default(tmp_path: Path, key: str) -
         ("robots.0.id=0", "robots.0.id = 0"),
         ("controller.mpc.blocks=[30, 30]", "controller.mpc: blocks sum to 60 steps, more than horizon = 50"),
         ("controller.mpc.blocks=[]", "controller.mpc.blocks = .*at least 1"),
-        ("controller.mpc.solver=ipopt", "controller.mpc.solver = 'ipopt': .*'osqp' or 'daqp'"),
-        ("controller.guidance.max_correction_rad=1.6", "less than 1.57"),
+        ("controller.estimator.kind=luenberger", "controller.estimator.kind = 'luenberger': .*'eso' or 'kalman'"),
         ("camera.position_m=[0, 0, 1]", "camera: position_m z = 1.0: the camera must hang above the water"),
         ("safety.pose_neutral_s=0.1", "safety: pose_neutral_s = 0.1 must be more than pose_hold_s = 0.19"),
         ("safety.pose_neutral_s=1", "safety.pose_neutral_s = 1: .*less than 1"),
@@ -262,7 +261,7 @@ def _mutants(value: object) -> Iterator[object]:
     elif isinstance(value, float):
         yield from (value + 1e-6, value - 1e-6, value * 1.001)
     else:
-        yield from ("rotate", "translate", "leader-follower", "virtual-structure", "daqp", "osqp", "pid", "eso-mpc")
+        yield from ("rotate", "translate", "leader-follower", "virtual-structure", "eso", "pid", "eso-mpc")
         yield from ("point", "trajectory", "start", "end", "h264", "2-1", "go-on", "warn", "apriltag_36h11", "kalman", "other")
 
 

@@ -113,11 +113,11 @@ def test_no_message_gets_further_than_a_refusal(message: Tuning) -> None:
         of_message(POOL.controller, message)
 
 
-def test_another_law_keeps_the_gains_that_stand_in_its_place() -> None:
+def test_a_feedback_law_has_no_gains_of_the_mpc() -> None:
     pid = load_experiment("pool", ["controller.law=pid"]).controller
     keys = {parameter.key for parameter in tunable_parameters(pid)}
     assert "controller.estimator.bandwidth_radps" in keys
-    assert not keys & {"controller.mpc.q.0", "controller.nmpc.arm_m", "controller.guidance.position_gain_per_s2"}
+    assert not keys & {"controller.mpc.q.0", "controller.nmpc.arm_m"}
 
 
 def test_settings_of_lists_go_by_entries() -> None:

@@ -19,11 +19,11 @@ def ran(module: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_package_that_is_before_our_own_is_named(tmp_path: Path) -> None:
-    done = ran("osqp", tmp_path)
+    done = ran("scipy", tmp_path)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     error, why = done.stderr.splitlines()
     assert error == "RuntimeError: made for another NumPy"
-    assert why.startswith(f"PYTHONPATH={tmp_path}: puts {tmp_path / 'osqp.py'} before this program's own osqp")
+    assert why.startswith(f"PYTHONPATH={tmp_path}: puts {tmp_path / 'scipy.py'} before this program's own scipy")
 
 
 def test_a_bug_of_a_persons_own_module_is_a_traceback(tmp_path: Path) -> None:

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, outlines_of
-from robot_agent.control.nonlinear.obstacle_rows import Surrounds
+from robot_agent.control.nonlinear.obstacle_rows import NO_BODIES, Surrounds, outlines_of
 from robot_agent.control.nonlinear.prediction import Dynamics, Grid, Hull, Start, Surroundings, make_grid
 from robot_agent.control.nonlinear.program import Course, InputLimits, PlanProblem, Weights
 

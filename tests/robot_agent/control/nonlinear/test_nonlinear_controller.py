@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from benchmarks.flights import flown
 from robot_agent.control.controller import ControlOutput
-from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, outlines_of
 from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController, clear_place
-from robot_agent.control.nonlinear.obstacle_rows import Surrounds
+from robot_agent.control.nonlinear.obstacle_rows import NO_BODIES, Surrounds, outlines_of
 from robot_agent.guidance.driving import Driver
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle, obstacles_from_message
@@ -241,7 +240,7 @@ def test_gains_change_in_flight_without_a_leap() -> None:
     before = None
     for k in range(80):
         if k == 40:
-            robot.controller.adopt_gains(robot.controller.prepare_gains(other))
+            robot.controller.adopt_gains(other)
         output = robot.step(Follow(GOAL.trajectory, 0.05 * k))
         if before is not None and k == 40:
             assert np.abs(output.wrench - before).max() < 0.2

@@ -7,8 +7,7 @@ import osqp
 import pytest
 from scipy import sparse
 
-from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, outlines_of
-from robot_agent.control.nonlinear.obstacle_rows import MovingBodies, Surrounds
+from robot_agent.control.nonlinear.obstacle_rows import NO_BODIES, MovingBodies, Surrounds, outlines_of
 from robot_agent.control.nonlinear.prediction import Grid, PlannedFlight, Start, fly, make_flight
 from robot_agent.control.nonlinear.program import Memory, PlanProblem, appraise, make_memory, step_plan
 from robot_agent.guidance.obstacles import Obstacle
