@@ -50,8 +50,8 @@ def reshape(experiment: Experiment, segment: PlanSegment, begin_s: float, change
     reason = PlanError("no form was given")
     for change in changes:
         try:
-            found = shifted(experiment, segment, begin_s, form_shifts(experiment, segment, begin_s, change))
-            return replace(found, forms=(*segment.forms, change))
+            segment_ahead = shifted(experiment, segment, begin_s, form_shifts(experiment, segment, begin_s, change))
+            return replace(segment_ahead, forms=(*segment.forms, change))
         except PlanError as error:
             reason = error
     raise reason
@@ -61,8 +61,8 @@ def in_form(experiment: Experiment, segment: PlanSegment, from_s: float, change:
     """The segment, from `from_s` on, as if the formation had taken another form before. Raises PlanError."""
     begin_s = ceil_to_period(from_s, segment.centre.period_s)
     taken = change.model_copy(update={"at_s": begin_s - 2.0, "over_s": 1.0})
-    found = shifted(experiment, segment, begin_s, form_shifts(experiment, segment, begin_s, taken))
-    return replace(found, forms=(*segment.forms, taken))
+    segment_ahead = shifted(experiment, segment, begin_s, form_shifts(experiment, segment, begin_s, taken))
+    return replace(segment_ahead, forms=(*segment.forms, taken))
 
 
 def form_shifts(experiment: Experiment, segment: PlanSegment, begin_s: float, change: Change) -> dict[int, SlotOffset]:
@@ -74,11 +74,11 @@ def form_shifts(experiment: Experiment, segment: PlanSegment, begin_s: float, ch
     yaw, rate, bend = (centre.eta[:, 3], centre.velocity[:, 3], centre.acceleration[:, 3])
     if experiment.formation.mode == "translate":
         yaw, rate, bend = turns + np.pi / 2.0, turns, turns
-    found = {}
+    shifts = {}
     for robot, was, will in zip(experiment.robots, old, new, strict=True):
         within = SlotOffset(will.place_m - was.place_m, will.rate_mps - was.rate_mps, will.bend_mps2 - was.bend_mps2)
-        found[robot.id] = _turned(within, yaw, rate, bend)
-    return found
+        shifts[robot.id] = _turned(within, yaw, rate, bend)
+    return shifts
 
 
 def _turned(within: SlotOffset, yaw: Array, rate: Array, bend: Array) -> SlotOffset:
@@ -148,16 +148,16 @@ def _clear_shifts(
     profile = _profile(spans, len(centre.eta), period_s, aside_s, earlier_s)
     if profile is None or np.hypot(*centre.velocity[: places.shape[1], :2].T).max() < SLOW_MPS:
         return
-    found = set[float]()
+    sides = set[float]()
     for step in range(1, round(MOST_M / STEP_M) + 1):
-        for side in {-1.0, 1.0} - found:
+        for side in {-1.0, 1.0} - sides:
             shift = _aside(profile, side * step * STEP_M, centre)
             moved = places + shift.place_m[: places.shape[1], :2]
             apart = np.hypot(*(moved[:, :, None] - obstacles[:, :2]).transpose(3, 0, 1, 2))
             if bool((apart >= keep_m).all()):
-                found.add(side)
+                sides.add(side)
                 yield shift
-        if len(found) == 2:
+        if len(sides) == 2:
             return
 
 

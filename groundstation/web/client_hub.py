@@ -407,8 +407,8 @@ class ClientHub:
             watcher.busy = False
 
     async def _preview_form(self, watcher: Client, request: protocol.PreviewForm) -> None:
-        found = await self._at(self._plans, formed, self._source.experiment, self._source.station.plan_form, request.form)
-        watcher.note({"k": "formed", "n": request.n} | found)
+        answer = await self._at(self._plans, formed, self._source.experiment, self._source.station.plan_form, request.form)
+        watcher.note({"k": "formed", "n": request.n} | answer)
 
     async def _save(self, watcher: Client, request: protocol.Save) -> None:
         reason = self._may_command(watcher)

@@ -114,8 +114,8 @@ class LogPlayer:
         """Beginning of the flight at an instant of the log, or of the first one: time 0 for people."""
         if not self._begun:  # no station, or an early version of it
             return self._zero_ns
-        said = [begun for arrived_ns, begun in self._begun if arrived_ns <= at_ns]
-        return said[-1] if said else self._begun[0][1]
+        beginnings = [begun for arrived_ns, begun in self._begun if arrived_ns <= at_ns]
+        return beginnings[-1] if beginnings else self._begun[0][1]
 
     def _first_flown_ns(self) -> tuple[int, int]:
         """Instant of the first robot's first state on the formation's trajectory, and that trajectory's beginning; if there is

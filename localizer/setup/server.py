@@ -94,14 +94,14 @@ class SetupServer:
 
 
 def _stop_fleet() -> str:
-    """Give the emergency stop to every station of this machine, as `groundstation stop` does; returns what it said."""
+    """Give the emergency stop to every station of this machine, as `groundstation stop` does; returns what it output."""
     with programs.start("groundstation", ["stop"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as stopping:
         try:
-            said, _ = stopping.communicate(timeout=STOPS_WITHIN_S)
+            output, _ = stopping.communicate(timeout=STOPS_WITHIN_S)
         except subprocess.TimeoutExpired:
             stopping.kill()
             return f"emergency stop: no answer within {STOPS_WITHIN_S:g} s"
-    lines = said.decode(errors="replace").strip().splitlines()
+    lines = output.decode(errors="replace").strip().splitlines()
     return lines[-1] if lines else f"emergency stop: ended with exit code {stopping.returncode}"
 
 

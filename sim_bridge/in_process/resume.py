@@ -139,19 +139,19 @@ def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str])
 
 def faults_by_hand(run: Path) -> list[str]:
     """The faults that a person made in a recorded run, as --fault takes them, those that such a flight can have."""
-    found: dict[str, tuple[float, str]] = {}
+    faults: dict[str, tuple[float, str]] = {}
     for entry in read_log(run / "run.mcap", (topics.EVENT,)).of(topics.EVENT, Event):
         line = entry.message.message
         for part in line.removeprefix(BY_HAND).split("; ") if line.startswith(BY_HAND) else ():
             if part.startswith("t="):
                 words = part.split()
                 what = " ".join(word for word in words[1:] if not word.startswith("for="))
-                found[part] = float(words[0].removeprefix("t=")), what
+                faults[part] = float(words[0].removeprefix("t=")), what
             elif (mended := re.fullmatch(r"mended at ([\d.]+) s: (.+)", part)) is not None:
-                for text, (at_s, what) in list(found.items()):
+                for text, (at_s, what) in list(faults.items()):
                     if what == mended[2] and "for=" not in text:
-                        found[f"t={at_s:.3f} for={max(float(mended[1]) - at_s, 0.001):.3f} {what}"] = found.pop(text)
-    return [text for text, (_, what) in found.items() if read_what(what).kind in fault_schedule.NUMERIC]
+                        faults[f"t={at_s:.3f} for={max(float(mended[1]) - at_s, 0.001):.3f} {what}"] = faults.pop(text)
+    return [text for text, (_, what) in faults.items() if read_what(what).kind in fault_schedule.NUMERIC]
 
 
 def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:

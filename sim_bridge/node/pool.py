@@ -116,8 +116,8 @@ class PoolNode:
         """Move to the next event up to `until_ns`, by one step at least. Log the faults that change, and the boards that
         become neutral or thrusting."""
         while self._requests:
-            asked = self._requests.popleft()
-            log.info("%s%s", BY_HAND, world.faults.add(asked.what, asked.for_s, world.flown_s) or "nothing to mend")
+            request = self._requests.popleft()
+            log.info("%s%s", BY_HAND, world.faults.add(request.what, request.for_s, world.flown_s) or "nothing to mend")
         for text in world.apply_faults():
             log.info(text)
         sent = world.step(until_ns)

@@ -78,10 +78,10 @@ class Monitor:
     @property
     def time_s(self) -> float | None:
         """Time since the formation's flight began, negative just before; None while it has not been started."""
-        heard = self._heartbeat.newest()
-        if heard is None or not heard.message.began_ns:
+        heartbeat = self._heartbeat.newest()
+        if heartbeat is None or not heartbeat.message.began_ns:
             return None
-        return (heard.header.stamp_ns - heard.message.began_ns) * 1e-9
+        return (heartbeat.header.stamp_ns - heartbeat.message.began_ns) * 1e-9
 
     @property
     def pace(self) -> str:
