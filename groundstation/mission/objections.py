@@ -10,7 +10,7 @@ from groundstation.planning.segment import PlanSegment
 from groundstation.planning.shift import common_path
 from groundstation.telemetry import Fleet, RobotView, blocking_findings, first_lost_robot, foreign_poses, preflight
 from shoal.config.experiment import Experiment
-from shoal.config.scene import read_form
+from shoal.config.scene import Circle, read_form
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Order
 
@@ -114,9 +114,14 @@ def _no_places(context: RequestContext) -> str:
 
 
 def _unchangeable(context: RequestContext) -> str:
-    if can_replan(context.experiment):
+    experiment = context.experiment
+    if can_replan(experiment):
         return ""
-    return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
+    if any(robot.path is not None for robot in experiment.robots):
+        what = "robots have paths of their own"
+    else:
+        what = "the path is a circle" if isinstance(experiment.path, Circle) else "the path dives"
+    return f"{what}: it cannot be left for other places under way"
 
 
 def _no_form(context: RequestContext) -> str:

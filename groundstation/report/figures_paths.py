@@ -12,6 +12,7 @@ from matplotlib.patches import Rectangle
 from groundstation.analysis.series import RobotSeries, Series
 from groundstation.palette import colour
 from groundstation.report.plotting import BOTTOM_IN, GREY, LEFT_IN, LIGHT, RIGHT_IN, STYLE, TOP_IN, WIDTH_IN, legend, place
+from shoal.config.simulation import Drifter
 from shoal.frames import Array
 
 TALLEST_IN = 6.5
@@ -86,6 +87,8 @@ def paths(series: Series) -> Figure | None:
             axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
         for island in series.experiment.islands:
             axes.add_patch(Disc(island.position_m, island.radius_m, facecolor=LIGHT, edgecolor=GREY, hatch="///"))
+        for ball in series.experiment.sim.drifters:
+            _drifter(axes, ball, series.end_s)
         for index, (robot, r) in enumerate(series.robots.items()):
             _path(axes, robot, r, colour(index), series.experiment.vehicle.radius_m)
         for row in _snapshots(series):
@@ -97,6 +100,17 @@ def paths(series: Series) -> Figure | None:
         axes.set_ylim(high[1], low[1])
         legend(figure, axes)
     return figure
+
+
+def _drifter(axes: Axes, ball: Drifter, end_s: float) -> None:
+    """A simulated ball where it came into the water, and its way from there."""
+    if ball.from_s > end_s:
+        return
+    begin = np.array(ball.start_m[:2])
+    end = begin + (end_s - ball.from_s) * np.array(ball.velocity_mps[:2])
+    axes.add_patch(Disc((float(begin[0]), float(begin[1])), ball.radius_m, facecolor="#B22222", alpha=0.7, label="obstacle"))
+    if not np.array_equal(begin, end):
+        axes.plot(*np.array([begin, end]).T, color="#B22222", linewidth=0.9, linestyle=":")
 
 
 def _path(axes: Axes, robot: int, r: RobotSeries, tone: str, radius_m: float) -> None:

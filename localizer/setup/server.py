@@ -94,7 +94,7 @@ class SetupServer:
 
 
 def _stop_fleet() -> str:
-    """Give the emergency stop to every station of this machine, as `groundstation stop` does; returns what it said."""
+    """Give the emergency stop to every station of this machine, as `groundstation stop` does; returns what it output."""
     with programs.start("groundstation", ["stop"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as stopping:
         try:
             output, _ = stopping.communicate(timeout=STOPS_WITHIN_S)

@@ -1359,3 +1359,18 @@ def test_robots_fly_on_beside_a_blind_one_that_is_lost_or_where_people_allow_it(
     run.robots[2].blind = "the light changed"
     run.step(1.0)
     assert run.mission.state is (MissionState.DEGRADED if lost else MissionState.RUNNING)
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        ((), "the path is a circle"),
+        (('path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1,dive_mps=0.001}',), "the path dives"),
+    ],
+)
+def test_a_path_that_cannot_be_left_is_refused_with_the_one_reason_that_holds(settings: Sequence[str], why: str) -> None:
+    run = MissionRun(settings=settings)
+    while run.mission.state is not MissionState.RUNNING:
+        run.step()
+    refused = run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
+    assert refused == f"{why}: it cannot be left for other places under way"

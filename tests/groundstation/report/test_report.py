@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from collections import Counter
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from mcap.writer import Writer
 
 from groundstation.analysis.alignment import align
@@ -25,6 +27,7 @@ from groundstation.report.drawing import MOST_POINTS, Curve, Panel, TimePlot, em
 from groundstation.report.plotting import picture, to_svg
 from groundstation.report.report import write_report
 from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.config.simulation import Drifter
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
@@ -287,6 +290,14 @@ def test_paths_are_seen_from_above(series: Series) -> None:
     bottom, top = axes.get_ylim()
     assert bottom > 1.25 > -1.25 > top  # y grows downwards, and the whole pool is in view
     assert axes.get_aspect() == 1.0
+
+
+def test_a_ball_in_the_water_is_in_the_figure_of_paths_where_and_as_large_as_it_was(series: Series) -> None:
+    sim = series.experiment.sim.model_copy(update={"drifters": (Drifter(radius_m=0.15, start_m=(0.4, -0.2, 0.3)),)})
+    crossed = replace(series, experiment=series.experiment.model_copy(update={"sim": sim}))
+    patches = drawn(figures_paths.paths(crossed)).axes[0].patches
+    discs = [patch for patch in patches if isinstance(patch, Circle) and patch.get_label() == "obstacle"]
+    assert [(disc.get_center(), disc.get_radius()) for disc in discs] == [((0.4, -0.2), 0.15)]
 
 
 def test_limits_are_drawn_when_near_and_told_when_far() -> None:
