@@ -1,4 +1,4 @@
-"""Another form asked for on the page, places that are typed, several robots, one clock, and what stays in its place."""
+"""Another form forms for on the page, places that are typed, several robots, one clock, and what stays in its place."""
 
 import re
 from collections.abc import Iterator
@@ -27,18 +27,18 @@ def experiment() -> Experiment:
 
 @pytest.fixture
 def desk(browser: Browser, experiment: Experiment) -> Iterator[LoneStation]:
-    with lone_station(browser, experiment) as found:
-        found.own_status = Status(MissionState.RUNNING, "")
-        found.page.goto(found.url)
-        expect(button(found.page, "You have control")).to_be_visible()
-        yield found
+    with lone_station(browser, experiment) as desk:
+        desk.own_status = Status(MissionState.RUNNING, "")
+        desk.page.goto(desk.url)
+        expect(button(desk.page, "You have control")).to_be_visible()
+        yield desk
 
 
 def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStation, experiment: Experiment) -> None:
-    asked: list[str] = []
+    forms: list[str] = []
 
     def plan(form: str) -> PlanSegment:
-        asked.append(form)
+        forms.append(form)
         if form.startswith("column"):
             raise PlanError("robot 3: 0.260 m beyond the wall's clearance in y")
         return first_segment(experiment)
@@ -52,7 +52,7 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     page.get_by_label("Shape of the formation").select_option("line")
     page.get_by_label("spacing, m").fill("1.1")
     expect(page.get_by_text(re.compile("can be flown: closest"))).to_be_visible()
-    assert asked[-1] == "line 1.1" and desk.orders == []
+    assert forms[-1] == "line 1.1" and desk.orders == []
     button(page, "Fly this form").click()
     expect(page.locator(".given")).to_contain_text("formation line 1.1 sent")
     assert desk.orders == [Order.FORMATION] and desk.form == "line 1.1"

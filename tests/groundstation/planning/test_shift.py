@@ -39,11 +39,11 @@ def test_the_formation_takes_the_shape_that_was_asked_for_and_joins_its_plan_wit
     for slot, trajectory in after.trajectories.items():
         assert splice_objection(before.trajectories[slot], trajectory) == ""
         check_smooth(trajectory, to_row=round((after.end_s - AT_S) / PERIOD_S))
-    found, line = apart_m(after, AT_S + 70.0), shape_nodes("line", len(after.trajectories), 1.0)[:, :2]
-    gaps = np.sort(np.linalg.norm(found[:, None] - found[None], axis=2), axis=None)
+    places, line = apart_m(after, AT_S + 70.0), shape_nodes("line", len(after.trajectories), 1.0)[:, :2]
+    gaps = np.sort(np.linalg.norm(places[:, None] - places[None], axis=2), axis=None)
     assert np.allclose(gaps, np.sort(np.linalg.norm(line[:, None] - line[None], axis=2), axis=None), atol=0.02)
     if mode == "translate":
-        assert abs(np.ptp(found[:, 1])) < 1e-6  # the line lies along x, as the shape says
+        assert abs(np.ptp(places[:, 1])) < 1e-6  # the line lies along x, as the shape says
 
 
 def test_a_second_form_replaces_the_first_one_and_a_detour_keeps_it(laps: Experiment) -> None:
