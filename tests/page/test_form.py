@@ -1,4 +1,4 @@
-"""Another form asked for on the page, places that are typed, several robots, one clock, and what stays in its place."""
+"""Another form forms for on the page, places that are typed, several robots, one clock, and what stays in its place."""
 
 import re
 from collections.abc import Iterator
