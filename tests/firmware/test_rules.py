@@ -148,6 +148,13 @@ PUSHING = {  # changes that are taken, and the one after them that would have a 
     ],
     "a curve from beyond neutral on": [("CRV06_N", -0.1)],
     "no battery levels": [("BAT_NOARM_V", 0.0)],
+    "a trim beyond the dead zone": [("THR1_TRIM_US", 20.0), ("THR_NEUTRAL_US", 1510.0)],
+    "two points of one pulse": [("CRV02_US", 1100.0)],
+    "nothing below neutral": [("THR_MIN_US", 1500.0)],
+    "nothing above neutral": [("THR_MAX_US", 1500.0)],
+    "two levels of one voltage": [("BAT_NOARM_V", PARAMETERS["BAT_WARN_V"])],
+    "two other levels of one voltage": [("BAT_NEUTRAL_V", PARAMETERS["BAT_NOARM_V"])],
+    "no range of the ankles": [("ANK_MIN_US", PARAMETERS["ANK_MAX_US"])],
 }  # fmt: skip
 
 
