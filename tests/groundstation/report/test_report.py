@@ -297,7 +297,7 @@ def test_a_ball_in_the_water_is_in_the_figure_of_paths_where_and_as_large_as_it_
     crossed = replace(series, experiment=series.experiment.model_copy(update={"sim": sim}))
     patches = drawn(figures_paths.paths(crossed)).axes[0].patches
     discs = [patch for patch in patches if isinstance(patch, Circle) and patch.get_label() == "obstacle"]
-    assert [(*disc.get_center(), disc.get_radius()) for disc in discs] == [(0.4, -0.2, 0.15)]
+    assert [[*np.ravel(disc.get_center()), disc.get_radius()] for disc in discs] == [[0.4, -0.2, 0.15]]
 
 
 def test_limits_are_drawn_when_near_and_told_when_far() -> None:
