@@ -73,7 +73,8 @@ photoreal: $(INSTALLED) ## render tests/localizer/photoreal/data again with Mits
 soak: $(INSTALLED) ## fly for hours while things break, look for what grows. ARGS="--hours 8", "--simulated 10" or "--real-time 4"
 	$(BIN)/python -m tests.faults.soak $(ARGS)
 
-mutants: $(INSTALLED) ## change the thruster board's rules in every small way, and list the changes that no test notices
+mutants: $(INSTALLED) ## change the thruster board's rules, in Python and in C, in every small way, and list what no test notices
+	$(BIN)/python -m tests.firmware.mutants
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt mutmut==3.8.1
 	$(BIN)/python -m mutmut run --max-children 2
 	$(BIN)/python -m mutmut results

@@ -96,15 +96,15 @@ class AgentNode:
         others = (r for r in experiment.robot_ids if r != robot)
         self.plans = bus.inboxes(topics.PLAN, Plan, others, wakes=self.clock.waits)
         self.obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
-        self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
+        self._turn = threading.Lock()  # a command comes from a network thread; it waits for the step to end
         self._hurry = threading.Event()  # a command took the power away: the thrusters must not wait for the next pose
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
         self._dropped = 0  # frames of the board, for their signature
         self._trouble = ""  # that the link was last said to have
         self._pace = StepClock(experiment.controller.period_s, time.monotonic())
-        self._failure: BaseException | None = None  # of an order, on a network thread: the loop ends with it
+        self._failure: BaseException | None = None  # of a command, on a network thread: the loop ends with it
         self._leaving = False
-        self._steps = self._orders = 0  # of this agent, as the log counts them
+        self._steps = self._commands = 0  # of this agent, as the log counts them
         self._station_session = 0
         self._logged_state = ("disarmed", "")
 
@@ -123,7 +123,7 @@ class AgentNode:
         log_to_bus(self._bus, self.clock, f"agent-{self._robot}")
         log.info("%s", code())
         self.stop.on_request(self._awake)
-        self._bus.serve(self._robot, self.on_order)
+        self._bus.serve(self._robot, self.on_command)
         self.greet()
         self._bus.announce(f"agent-{self._robot}")
         log.info("ready, experiment %s", self._experiment.hash[:8])
@@ -216,8 +216,8 @@ class AgentNode:
             self.link.wait(left_s)
             self.mavlink.receive(self.link.read(), self.clock.now_ns())
 
-    def on_order(self, header: Header, command: Command) -> Reply:
-        """Serve an order of the station, on a network thread. One that fails ends the robot's program."""
+    def on_command(self, header: Header, command: Command) -> Reply:
+        """Serve a command of the station, on a network thread. One that fails ends the robot's program."""
         agent = self.agent
         try:
             prepared = agent.prepare(command)  # what is long to make is made beside the steps
@@ -236,16 +236,16 @@ class AgentNode:
         return reply
 
     def _obey(self, header: Header, command: Command, prepared: Prepared | None) -> Reply:
-        # Where time waits, the station may have begun a step that we have not: an order of that step is given in it.
+        # Where time waits, the station may have begun a step that we have not: a command of that step is given in it.
         now_ns = max(self.clock.now_ns(), self.clock.arrival_ns(header.stamp_ns))
         heartbeat = self._station()
-        record = record_command(self._steps, self._orders, self.clock, header, command, heartbeat)
+        record = record_command(self._steps, self._commands, self.clock, header, command, heartbeat)
         live = self.agent.mode in LIVE  # a thruster test runs in ARMED
         reply = self.agent.handle_command(header, command, station_view(record, now_ns), now_ns, prepared)
-        self._orders += 1
+        self._commands += 1
         if live and self.agent.mode not in LIVE:
             self._awake()
-        self._bus.publish(topics.ORDERS, with_reply(record, reply), now_ns, self._robot)
+        self._bus.publish(topics.COMMANDS, with_reply(record, reply), now_ns, self._robot)
         return reply
 
     # --- inputs
@@ -297,7 +297,7 @@ class AgentNode:
             self._station_session = heartbeat.header.session
             if self._steps and self.agent.mode is Mode.DISARMED:
                 self.agent = Agent(self._experiment, self._robot)
-                self._steps = self._orders = 0
+                self._steps = self._commands = 0
         return heartbeat
 
     # --- pace: when a step is due

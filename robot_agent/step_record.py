@@ -19,8 +19,8 @@ from shoal.messages.codec import Header
 from shoal.messages.messages import (
     BoardReading,
     Command,
+    CommandTaken,
     Obstacles,
-    OrderTaken,
     Plan,
     Pose,
     Reply,
@@ -60,11 +60,11 @@ def record_step(
 
 def record_command(
     before_step: int, number: int, clock: Clock, header: Header, command: Command, heartbeat: Received[StationHeartbeat] | None
-) -> OrderTaken:
+) -> CommandTaken:
     """Record of a command, without its reply."""
     station = _station(clock, heartbeat)
     del station["heartbeat"]
-    return OrderTaken(before_step, number, header.session, header.sequence, header.stamp_ns, command=command, **station)
+    return CommandTaken(before_step, number, header.session, header.sequence, header.stamp_ns, command=command, **station)
 
 
 def inputs_of(record: StepInputs, plans: Mapping[int, Plan], obstacles: Obstacles | None, now_ns: int) -> Inputs:
@@ -82,7 +82,7 @@ def inputs_of(record: StepInputs, plans: Mapping[int, Plan], obstacles: Obstacle
     )
 
 
-def station_view(record: StepInputs | OrderTaken, now_ns: int) -> StationView:
+def station_view(record: StepInputs | CommandTaken, now_ns: int) -> StationView:
     """The station as judged at `now_ns`."""
     if not record.station_session:
         return StationView()
@@ -92,9 +92,9 @@ def station_view(record: StepInputs | OrderTaken, now_ns: int) -> StationView:
     return view if beat is None else replace(view, lag_s=beat.lag_s, slowing=beat.slowing, out=beat.out)
 
 
-def with_reply(record: OrderTaken, reply: Reply) -> OrderTaken:
+def with_reply(record: CommandTaken, reply: Reply) -> CommandTaken:
     """Record of a command with its reply."""
-    return OrderTaken(**{**vars(record), "reply": reply})
+    return CommandTaken(**{**vars(record), "reply": reply})
 
 
 def _seen(clock: Clock, pose: Received[Pose] | None) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
 
-from shoal.messages.messages import Command, Event, Frame, Message, OrderTaken, Picture, Preview, Trajectory, Video
+from shoal.messages.messages import Command, CommandTaken, Event, Frame, Message, Picture, Preview, Trajectory, Video
 from shoal.messages.schema import message_classes, optional_message
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
@@ -403,7 +403,7 @@ def encode(message: Message, stamp_ns: int = 0) -> bytes:
     return encoded
 
 
-_LARGE = {Trajectory, Command, OrderTaken, Preview, Picture, Video}  # with a path, or compressed pictures
+_LARGE = {Trajectory, Command, CommandTaken, Preview, Picture, Video}  # with a path, or compressed pictures
 
 
 def max_bytes(cls: type) -> int:

@@ -429,14 +429,14 @@ class FaultRequest:
 
 
 @dataclass(frozen=True, eq=False)
-class OrderTaken:
+class CommandTaken:
     """A command that has reached a robot, with the reply. It is for the log only. The header's stamp is its arrival."""
 
     before_step: Annotated[Uint32, 1]  # Number of the robot's next control step.
     number: Annotated[Uint32, 2]  # Number of the command: 0, 1, 2 ..., counted from the same beginning as the steps.
-    order_session: Annotated[Uint64, 3]  # Session in the command's header.
-    order_sequence: Annotated[Uint32, 4]  # Sequence number in the command's header.
-    order_stamp_ns: Annotated[Int64, 5]  # Stamp in the command's header.
+    command_session: Annotated[Uint64, 3]  # Session in the command's header.
+    command_sequence: Annotated[Uint32, 4]  # Sequence number in the command's header.
+    command_stamp_ns: Annotated[Int64, 5]  # Stamp in the command's header.
     station_session: Annotated[Uint64, 6] = 0  # Session of the heartbeat that it was judged by, as in StepInputs.
     station_stamp_ns: Annotated[Int64, 7] = 0  # Stamp of that heartbeat.
     station_instant_ns: Annotated[Int64, 8] = 0  # Instant of that heartbeat, on the robot's clock.
@@ -487,6 +487,6 @@ class Event:
 
 Message = (
     Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning
-    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | FaultRequest | OrderTaken | Frame | Preview
+    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | FaultRequest | CommandTaken | Frame | Preview
     | Video | Picture | Event
 )  # fmt: skip

@@ -114,15 +114,23 @@ TUNING = Topic("station/tuning", messages.Tuning, 0, float("inf"), Qos.EVENT, Tr
 INPUTS = Topic(
     "robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OBSERVERS, cache_depth=400
 )
-ORDERS = Topic(
-    "robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OBSERVERS, cache_depth=32
+COMMANDS = Topic(
+    "robot/{robot}/commands",
+    messages.CommandTaken,
+    0,
+    float("inf"),
+    Qos.JOURNAL,
+    True,
+    (Role.ROBOT,),
+    OBSERVERS,
+    cache_depth=32,
 )
 FAULT = Topic("sim/fault", messages.FaultRequest, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), OBSERVERS, cache_depth=32)
 EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, LOG_SOURCES, cache_depth=1000)
 
 TOPICS = (
     TICK, EXPOSED, TRUTH, FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY,
-    TUNING, INPUTS, ORDERS, FAULT, EVENT,
+    TUNING, INPUTS, COMMANDS, FAULT, EVENT,
 )  # fmt: skip
 
 # With several cameras each of them has these topics too (`Topic.of_camera`), and the fused poses have the names above.

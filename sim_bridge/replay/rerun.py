@@ -17,7 +17,7 @@ from robot_agent.step_record import inputs_of, station_view
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
-from shoal.messages.messages import Event, Message, Obstacles, OrderTaken, Plan, RobotState, StepInputs
+from shoal.messages.messages import CommandTaken, Event, Message, Obstacles, Plan, RobotState, StepInputs
 from shoal.messages.topics import Topic
 
 Again = tuple[Topic, Message, int]  # topic, message, stamp in ns
@@ -42,7 +42,7 @@ class Rerun:
         self._experiment, self._robot = experiment, robot
         self.agent = Agent(experiment, robot)
         self._session, self._next = 0, 0
-        self._orders: deque[tuple[int, OrderTaken]] = deque()
+        self._commands: deque[tuple[int, CommandTaken]] = deque()
         self._kept: dict[tuple[Topic, int], deque[_SeenMessage]] = {}
 
     def run(self, lines: Iterable[LogMessage]) -> Iterator[Again]:
@@ -55,8 +55,8 @@ class Rerun:
             except DecodeError as error:
                 yield self._missing(str(error), header.stamp_ns)
                 continue
-            if isinstance(message, OrderTaken):
-                self._orders.append((header.stamp_ns, message))
+            if isinstance(message, CommandTaken):
+                self._commands.append((header.stamp_ns, message))
             elif isinstance(message, StepInputs):
                 yield from self._begin(message, header)
                 yield from self._step(message, header.stamp_ns)
@@ -71,15 +71,15 @@ class Rerun:
         if header.session != self._session or record.step < self._next:
             self.agent = Agent(self._experiment, self._robot)
             self._session, self._next = header.session, 0
-            self._orders = deque(order for order in self._orders if order[1].before_step <= record.step)
+            self._commands = deque(taken for taken in self._commands if taken[1].before_step <= record.step)
         if record.step != self._next:
             yield self._missing(f"steps {self._next} to {record.step - 1} are not in the log", header.stamp_ns)
         self._next = record.step + 1
 
     def _step(self, record: StepInputs, now_ns: int) -> Iterator[Again]:
         """Do one recorded step again, with the inputs that its record names."""
-        while self._orders and self._orders[0][1].before_step <= record.step:
-            self._order(*self._orders.popleft())
+        while self._commands and self._commands[0][1].before_step <= record.step:
+            self._obey(*self._commands.popleft())
         plans: dict[int, Plan] = {}
         for robot, session, sequence in zip(record.plan_robots, record.plan_sessions, record.plan_sequences, strict=True):
             plan = self._named(topics.PLAN, robot, session, sequence)
@@ -97,13 +97,13 @@ class Rerun:
             yield topics.PLAN, outputs.plan, now_ns
         yield topics.STATE, outputs.state, now_ns
 
-    def _order(self, now_ns: int, record: OrderTaken) -> None:
+    def _obey(self, now_ns: int, record: CommandTaken) -> None:
         if record.command is None:
             return
         # Another experiment has another hash: a rerun with other settings is asked for on purpose.
         named_ours = record.reply is None or "is for experiment" not in record.reply.reason
         command = replace(record.command, experiment_hash=self._experiment.hash) if named_ours else record.command
-        header = Header(record.order_session, record.order_sequence, record.order_stamp_ns)
+        header = Header(record.command_session, record.command_sequence, record.command_stamp_ns)
         self.agent.handle_command(header, command, station_view(record, now_ns), now_ns)
 
     def _named(self, topic: Topic, robot: int, session: int, sequence: int) -> Any:

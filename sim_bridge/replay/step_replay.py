@@ -60,11 +60,11 @@ def _rerun_one(log: LogFile, experiment: Experiment, robot: int, same: bool) -> 
     return compare(robot, before, again, same)
 
 
-_ORDER = (topics.ORDERS, topics.INPUTS, topics.STATE)  # of one instant: an order, then the step, then what came of it
+_ORDER = (topics.COMMANDS, topics.INPUTS, topics.STATE)  # of one instant: a command, then the step, then what came of it
 
 
 def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage]:
-    """A robot's inputs and orders in the order in which they came to it; perhaps its states."""
+    """A robot's inputs and commands in the order in which they came to it; perhaps its states."""
     kinds = _ORDER if with_states else _ORDER[:2]
     lines = log.messages(lambda topic, of: topic in kinds and of == robot)
     lives, messages = dict[int, int](), list(lines)  # sessions in order: one that was started again may have another clock
@@ -77,7 +77,7 @@ def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage
 
 
 def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iterator[LogMessage]:
-    """A robot's inputs and orders, and before each step what it names and what was not named before."""
+    """A robot's inputs and commands, and before each step what it names and what was not named before."""
     others = log.messages(lambda topic, of: topic is topics.OBSTACLES or (topic is topics.PLAN and of != robot))
     by_sender: dict[tuple[Topic, int], OrderedDict[Name, LogMessage]] = {}
     last_names: dict[tuple[Topic, int], Name] = {}

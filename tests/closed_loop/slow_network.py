@@ -38,7 +38,7 @@ LATEST_S = (0.0, 0.0, SHORT_S, LONG_S)  # how late a listener may hear: one of t
 STALLED, STALL_S = 0.01, 0.25  # share of what a process sends before which it is stopped, and for how long at most
 BY_THE_WALL = frozenset({"step_us", "frame_ms"})  # what a message tells of the machine
 DRAWN = frozenset(  # numbers that a process draws when it starts
-    {"plan_sessions", "station_session", "obstacles_session", "order_session", "recipient", "session"}
+    {"plan_sessions", "station_session", "obstacles_session", "command_session", "recipient", "session"}
 )
 COMPARED = tuple(
     topic for topic in topics.TOPICS if topic.recorded and topic not in (topics.EVENT, topics.PREVIEW, topics.TUNING)

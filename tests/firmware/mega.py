@@ -184,6 +184,10 @@ class Mega:
         raw = AIR_RAW + round(RAW_PER_M * (depth_m + air_hpa / HPA_PER_M))
         self._library.simulation_measure(self._simulation, (ctypes.c_int16 * 7)(*LEVEL[:6], gyro), raw)
 
+    def charge(self, battery_v: float) -> None:
+        """The battery's voltage, which a divider of 5 leads to A0."""
+        self._library.simulation_battery(self._simulation, round(battery_v * 1000.0 / 5.0))
+
     def eeprom_counts(self) -> tuple[int, int]:
         """Bytes that were begun to be written; accesses while one was."""
         counts = (ctypes.c_uint32 * 2)()

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from shoal.mavlink.agent_link import IGNORED
+from shoal.mavlink.agent_link import IGNORED, AgentLink
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
 from sim_bridge.thruster_board.simulator_link import SimulatorLink
@@ -17,7 +17,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 NEUTRAL_US, AGE_US, STEP_US, PERIOD_US = 1500.0, 250_000.0, 5000.0, 20_000.0
 PHASES, BYTE_US, STOPS_US = 200, 40.0, 260_000.0  # a byte at 250,000 baud
-KEY = Key(bytes(range(1, 33)))
+KEY, OTHER = Key(bytes(range(1, 33))), Key(bytes(range(2, 34)))
+FLOOD_PHASES, STOPS_SIGNED_US = 12, 300_000.0  # the longest thrust that nobody asked for, under any load
 FIRST_KEPT_S = 2.5  # a board's first settings are written twice, 256 bytes of 3.4 ms each
 RAM_BYTES, STATIC_AND_STACK, WORST_LOOP = 8192, 0.6, 0.5
 BURSTS, BURSTS_SIGNED_IN_HIL = 98, 75  # of 100 in 2 s; a signed link in HIL mode is more than the processor can hash
@@ -212,3 +213,54 @@ def test_stack_and_loop_are_within_their_budgets(request: pytest.FixtureRequest,
 @pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])
 def test_the_mega_passes_the_conformance_run(request: pytest.FixtureRequest, key: Key | None) -> None:
     assert first_failure(request.getfixturevalue("mega" if key is None else "signed"), key) is None
+
+
+def flood(key: Key | None) -> bytes:
+    """Frames of a stranger, on a signed link by another key, that fill the line for half a second."""
+    if key is None:
+        stranger = ParameterClient(1)
+        frames = [stranger.ask("SLEW_US_S") + stranger.heartbeat() for _ in range(300)]
+    else:
+        other = AgentLink(1, OTHER, lambda: 200_000)
+        frames = [other.pulses([1560] * 8) for _ in range(300)]
+    return b"".join(frames)[: round(0.5e6 / BYTE_US)]
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])
+def test_pins_are_neutral_after_silence_behind_a_flood_at_line_rate(request: pytest.FixtureRequest, key: Key | None) -> None:
+    mega: Mega = request.getfixturevalue("mega" if key is None else "signed")
+    pilot, stops_us = Pilot(mega, key), []
+    pilot.run(0.6)
+    for phase in range(FLOOD_PHASES):
+        pilot.arm()
+        wait_s, before = delay(phase * PHASES // FLOOD_PHASES)
+        pilot.run(0.1 + wait_s, 1560, 1560, 1560, 1560)
+        mega.pulses()
+        pilot.send(data := before + pilot.link.pulses([1560] * 4 + [IGNORED] * 4))
+        last_us = mega.now_us + len(data) * BYTE_US
+        pilot.send(flood(key))
+        pilot.run(0.6)
+        turning = [pulse for pulses in mega.pulses()[:4] for pulse in pulses if abs(pulse.width_us - NEUTRAL_US) > 1.0]
+        stops_us.append(max(pulse.begin_us + pulse.width_us for pulse in turning) - last_us)
+        pilot.run(0.6)  # PEER_SILENCE_US, and what is queued
+        assert not pilot.link.telemetry.armed
+    print(
+        f"last override to the end of the last pulse, flooded, {FLOOD_PHASES}: {min(stops_us):.0f} to {max(stops_us):.0f} us"
+    )
+    assert max(stops_us) <= (STOPS_US if key is None else STOPS_SIGNED_US)
+
+
+def test_an_empty_battery_disarms_under_a_flood_at_line_rate(mega: Mega) -> None:
+    pilot, empty_v = Pilot(mega), 7.5
+    pilot.run(0.6)
+    pilot.arm()
+    mega.charge(empty_v)
+    begun_us, frames = mega.now_us, flood(None)
+    while pilot.link.telemetry.armed and mega.now_us - begun_us < 3e6:
+        at = round(mega.now_us - begun_us) // 40_000 % 10 * 1000
+        pilot.send(pilot.link.pulses([1560] * 4 + [IGNORED] * 4) + frames[at : at + 960])  # 40 ms of the line
+        for _ in range(8):
+            pilot.step()
+    pilot.run(0.1)
+    print(f"battery at {empty_v} V to disarmed, flooded: {(mega.now_us - begun_us) * 1e-6:.2f} s")
+    assert "disarmed: battery empty" in [text for _, text in pilot.link.telemetry.texts]

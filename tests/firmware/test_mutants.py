@@ -13,9 +13,9 @@ from tests.firmware.library import FIRMWARE, FirmwareBoard, built, load
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 KEY = Key(bytes(range(1, 33)))
-CORE = ("board", "link", "messages", "parameters", "rules", "sha256", "signing", "text")
+CORE = ("board", "link", "messages", "parameters", "rules", "sha256", "signing", "store", "text", "zero")
 MUTANTS = [  # rule, file, what it says, what it says instead
-    ("disarmed is neutral", "rules.c", "rules->thruster_us[i] = value[THR_NEUTRAL_US];\n}", "(void)value[i];\n}"),
+    ("disarmed is neutral", "rules.c", "rules->echo_us[i] = value[THR_NEUTRAL_US];\n}", "(void)value[i];\n}"),
     ("silence", "rules.c", "if (rules->armed && is_stale(rules, now_us)) {", "if (false) {"),
     (
         "arming: young override",
@@ -32,8 +32,8 @@ MUTANTS = [  # rule, file, what it says, what it says instead
         "if (false)\n            disarm(rules, SAY_INFO",
     ),
     ("overrides: sender", "rules.c", "!same_peer(sender, rules->computer) || ", ""),
-    ("range: thrusters", "rules.c", "thruster_us <= value[THR_MAX_US]))", "thruster_us <= value[THR_MAX_US] + 1))"),
-    ("range: ankles", "rules.c", "ankle_us <= value[ANK_MAX_US]))", "ankle_us <= value[ANK_MAX_US] + 1))"),
+    ("range: thrusters", "rules.c", "pulse_us <= value[THR_MAX_US]))", "pulse_us <= value[THR_MAX_US] + 1))"),
+    ("range: ankles", "rules.c", "pulse_us <= value[ANK_MAX_US]))", "pulse_us <= value[ANK_MAX_US] + 1))"),
     ("slew", "rules.c", "fminf(fmaxf(way_us, -reach_us), reach_us)", "way_us + 0.0f * reach_us"),
     ("parameters: armed", "rules.c", "if (parameter >= 0 && rules->armed)", "if (false)"),
     ("parameters: range", "parameters.c", "if (!in_range(index, value))", "if (false)"),

@@ -49,9 +49,11 @@ SAID: list[tuple[Topic, int, Any]] = [
     (topics.INPUTS, 1, m.StepInputs(7, POSE, board=m.BoardReading(5, depth_m=0.31), plan_robots=(2,), plan_sessions=(255,))),
     (topics.INPUTS, 1, m.StepInputs(8)),
     (
-        topics.ORDERS,
+        topics.COMMANDS,
         1,
-        m.OrderTaken(3, 1, 9, 2, 5, command=m.Command(m.Order.LOAD, 1, trajectory=PATH), reply=m.Reply(1, False, "why, then")),
+        m.CommandTaken(
+            3, 1, 9, 2, 5, command=m.Command(m.Order.LOAD, 1, trajectory=PATH), reply=m.Reply(1, False, "why, then")
+        ),
     ),
     (topics.EVENT, 0, m.Event(3, "agent-1", 'says "so",\nand more')),
 ]
@@ -155,7 +157,7 @@ def test_a_message_within_a_message_has_columns_of_its_own(run: Path, tmp_path: 
     assert (with_pose["pose.x_m"], with_pose["pose.track"], with_pose["board.depth_m"]) == ("1.5", "MARKER", "0.31")
     assert (with_pose["plan_robots"], with_pose["plan_sessions"]) == ("2", "ff")
     assert (without["step"], without["pose.x_m"], without["board.depth_m"]) == ("8", "", "")
-    (order,) = table(tmp_path / "robot-1-orders.csv")
+    (order,) = table(tmp_path / "robot-1-commands.csv")
     assert (order["command.order"], order["command.trajectory.id"], order["command.trajectory.eta_samples"]) == (
         "LOAD",
         "path",

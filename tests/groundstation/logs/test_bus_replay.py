@@ -16,7 +16,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import Command, Order, OrderTaken, Plan, Pose, StationHeartbeat, StepInputs, Tick
+from shoal.messages.messages import Command, CommandTaken, Order, Plan, Pose, StationHeartbeat, StepInputs, Tick
 from shoal.messages.topics import TOPICS, Topic
 from shoal.runtime.runtime import Stop
 from tests.groundstation.synthetic import Script, write_run
@@ -95,7 +95,7 @@ def test_replay_publishes_no_topic_that_moves_a_robot(tmp_path: Path) -> None:
     heartbeat, command = StationHeartbeat("hash"), Command(Order.START, 1)
     moving: dict[Topic, object] = {
         topics.HEARTBEAT: heartbeat,
-        topics.ORDERS: OrderTaken(0, 0, 1, 1, 1, command=command),
+        topics.COMMANDS: CommandTaken(0, 0, 1, 1, 1, command=command),
         topics.INPUTS: StepInputs(0, heartbeat=heartbeat),
         topics.TICK: Tick(1, 0, 0, (1,), (0,)),
         topics.EXPOSED: Tick(1, 0, 0, (1,)),
@@ -120,7 +120,7 @@ def test_replay_publishes_no_topic_that_moves_a_robot(tmp_path: Path) -> None:
 
 def test_every_topic_is_either_replayed_or_left_out_by_its_kind() -> None:
     """A new topic is not replayed until somebody has thought about it."""
-    motion = {topics.HEARTBEAT, topics.TRAJECTORY, topics.TUNING, topics.INPUTS, topics.ORDERS}
+    motion = {topics.HEARTBEAT, topics.TRAJECTORY, topics.TUNING, topics.INPUTS, topics.COMMANDS}
     assert set(TOPICS) == set(SEEN_AND_SAID) | motion | {topics.TICK, topics.EXPOSED, topics.FRAME}
 
 

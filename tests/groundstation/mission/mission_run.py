@@ -38,6 +38,7 @@ class ObedientRobot:
     starts_at_ns: int = 0
     battery_v: float = 12.0
     verified: bool = True
+    blind: str = ""
     localizer_hash: str = ""  # of the experiment of the localizer whose poses it gets
     two_pose_senders: bool = False
     got: list[Command] = field(default_factory=list)
@@ -71,7 +72,7 @@ class ObedientRobot:
         state = RobotState(
             mode=self.mode, fault=self.fault, experiment_hash=self.experiment.hash, trajectory_id=self.loaded,
             trajectory_s=self.trajectory_s, battery_v=self.battery_v, thruster_test=self.test,
-            tuning_id=self.tuning_id,
+            tuning_id=self.tuning_id, blind=self.blind,
             eta=np.array(self.eta),
         )  # fmt: skip
         if self.unknown:

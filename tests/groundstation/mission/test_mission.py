@@ -431,6 +431,32 @@ def test_a_robot_that_is_armed_and_restarts_is_not_armed_again_for_the_same_requ
     assert run.robots[1].mode is Mode.DISARMED
 
 
+def test_a_robot_that_restarts_before_anybody_hears_that_it_was_armed_is_not_armed_again() -> None:
+    run = MissionRun(False)
+    run.robots[2].refuses = frozenset({Order.ARM})
+    run.step(0.2)
+    assert run.mission.request(Order.ARM, run.fleet(), run.now_ns) == ""
+    while run.robots[1].mode is not Mode.ARMED:
+        run.step()
+    run.robots[1].mode, run.robots[1].loaded = Mode.DISARMED, ""
+    run.step(1.0)
+    assert [c.order for c in run.robots[1].got].count(Order.ARM) == 1
+
+
+def test_a_robot_that_was_disarmed_just_before_a_request_is_armed_for_it() -> None:
+    """That it was armed before is heard after the request."""
+    run = MissionRun(False)
+    run.step(1.0)
+    run.robots[1].mode, run.robots[1].age_s = Mode.ARMED, 0.25
+    run.robots[1].refuses = run.robots[2].refuses = frozenset({Order.LOAD})
+    assert run.mission.request(Order.ARM, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    run.robots[1].mode, run.robots[1].age_s = Mode.DISARMED, 0.02
+    run.robots[1].refuses = run.robots[2].refuses = frozenset()
+    run.step(1.0)
+    assert run.at(MissionState.ARMING) and {r.mode for r in run.robots.values()} == {Mode.ARMED}
+
+
 def test_rejoin_is_refused_while_the_others_return() -> None:
     """That way has no places for robots that are out."""
     run = MissionRun()
@@ -1303,3 +1329,33 @@ def test_an_automatic_mission_goes_on_when_the_localizer_is_the_runs_again() -> 
         robot.localizer_hash = run.experiment.hash
     run.step(2.5)
     assert run.at(MissionState.RUNNING)
+
+
+# --- blind
+
+
+@pytest.mark.parametrize(
+    ("blind", "reason"),
+    [
+        ({2: "the light changed"}, "robot 2 blind: the light changed"),
+        ({1: "the light changed", 2: "nobody tells"}, "robots 1, 2 blind: the light changed"),
+    ],
+)
+def test_robots_hold_while_one_cannot_tell_of_obstacles(blind: dict[int, str], reason: str) -> None:
+    run = running(automatic=False)
+    for robot, why in blind.items():
+        run.robots[robot].blind = why
+    run.step(0.2)
+    assert run.at(MissionState.PAUSED) and run.mission.reason == reason
+    assert {r.mode for r in run.robots.values()} == {Mode.HOLDING}
+
+
+@pytest.mark.parametrize(("policy", "lost"), [("warn", False), ("hold", True)])
+def test_robots_fly_on_beside_a_blind_one_that_is_lost_or_where_people_allow_it(policy: str, lost: bool) -> None:
+    run = running([f'mission.blind="{policy}"', 'mission.lost="go-on"'], automatic=False)
+    if lost:
+        run.robots[2].mode = Mode.DISARMED
+        run.step(0.2)
+    run.robots[2].blind = "the light changed"
+    run.step(1.0)
+    assert run.mission.state is (MissionState.DEGRADED if lost else MissionState.RUNNING)

@@ -18,12 +18,12 @@ from shoal.messages import codec
 from shoal.messages.codec import DecodeError, Header, decode, encode
 from shoal.messages.messages import (
     Command,
+    CommandTaken,
     Event,
     Frame,
     LocalizerStatus,
     Obstacles,
     Order,
-    OrderTaken,
     Outcome,
     Picture,
     Plan,
@@ -375,7 +375,7 @@ def test_a_message_of_another_type_is_a_message_or_a_decode_error(cls: Any) -> N
 def test_an_oversized_payload_is_refused_before_it_is_parsed(cls: Any) -> None:
     limit = codec.max_bytes(cls)
     large = limit == codec.MAX_MESSAGE_BYTES
-    assert large == (cls in (Trajectory, Command, OrderTaken, Preview, Picture, Video))
+    assert large == (cls in (Trajectory, Command, CommandTaken, Preview, Picture, Video))
     error = _refused(cls, bytes(limit + 1))
     assert (error.field, error.reason) == ("(size)", f"{limit + 1} bytes, more than the allowed {limit}")
 

@@ -75,12 +75,12 @@ class Pond:
         self.world = Bus(MemoryTransport(self.hub))
         self.station = Bus(MemoryTransport(self.hub))
         listener = Bus(MemoryTransport(self.hub))
-        for topic in (topics.INPUTS, topics.ORDERS, topics.PLAN, topics.OBSTACLES):
+        for topic in (topics.INPUTS, topics.COMMANDS, topics.PLAN, topics.OBSTACLES):
             listener.subscribe(topic, None, self._hear)
         self.clock = SkewedClock()
         self.node = AgentNode(self.experiment, ME, self.agents, Board(), Stop(install=False))
         self.node.clock = self.clock
-        self.agents.serve(ME, self.node.on_order)
+        self.agents.serve(ME, self.node.on_command)
         self.random = np.random.default_rng(4)
         self.trajectory = planner.plan(self.experiment)[ME]
 
