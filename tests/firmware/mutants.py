@@ -54,9 +54,9 @@ def mutants_of(file: str) -> Iterator[Mutant]:
         if inside or not code.strip() or code.lstrip().startswith(("#", "*", "enum", "typedef")) or "PSTR" in code:
             continue
         for pattern, replacements in SWAPS:
-            for found in re.finditer(pattern, code):
+            for match in re.finditer(pattern, code):
                 for replacement in replacements:
-                    yield Mutant(file, number, line[: found.start()] + replacement + line[found.end() :])
+                    yield Mutant(file, number, line[: match.start()] + replacement + line[match.end() :])
         if STATEMENT.match(line) and code.count("(") == code.count(")"):
             yield Mutant(file, number, re.match(r"\s*", line)[0] + ";")  # type: ignore[index]
 

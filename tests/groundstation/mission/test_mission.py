@@ -1335,18 +1335,18 @@ def test_an_automatic_mission_goes_on_when_the_localizer_is_the_runs_again() -> 
 
 
 @pytest.mark.parametrize(
-    ("blind", "said"),
+    ("blind", "reason"),
     [
         ({2: "the light changed"}, "robot 2 blind: the light changed"),
         ({1: "the light changed", 2: "nobody tells"}, "robots 1, 2 blind: the light changed"),
     ],
 )
-def test_robots_hold_while_one_cannot_tell_of_obstacles(blind: dict[int, str], said: str) -> None:
+def test_robots_hold_while_one_cannot_tell_of_obstacles(blind: dict[int, str], reason: str) -> None:
     run = running(automatic=False)
     for robot, why in blind.items():
         run.robots[robot].blind = why
     run.step(0.2)
-    assert run.at(MissionState.PAUSED) and run.mission.reason == said
+    assert run.at(MissionState.PAUSED) and run.mission.reason == reason
     assert {r.mode for r in run.robots.values()} == {Mode.HOLDING}
 
 
