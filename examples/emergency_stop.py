@@ -5,8 +5,6 @@
 The script is one more person at the stop button: robots watch themselves, and fail safe without it (docs/safety.md).
 """
 
-import numpy as np
-
 import shoal
 
 LIMIT_M = 0.05  # far below what is dangerous: here it shall happen
@@ -15,7 +13,7 @@ LIMIT_M = 0.05  # far below what is dangerous: here it shall happen
 def too_far(fleet: shoal.ConnectedFleet) -> bool:
     """True if a robot is beyond the limit."""
     states = [fleet.state(robot, max_age_s=10.0) for robot in fleet.robots]
-    return any(np.linalg.norm(state.eta[:2] - state.eta_reference[:2]) > LIMIT_M for state in states)
+    return any((state.error_m or 0.0) > LIMIT_M for state in states)
 
 
 with shoal.simulation("pool", lockstep=True) as fleet:

@@ -16,7 +16,7 @@ with shoal.simulation("open-water", {"path.stop": True}, duration_s=600.0, locks
     except shoal.RequestFailed as refused:
         print(refused)
     fleet.hold()
-    print("holding:", [f"{fleet.state(robot).eta[0]:.1f} m" for robot in fleet.robots])
+    print("holding:", [f"{fleet.pose(robot).x_m:.1f} m" for robot in fleet.robots])
     fleet.resume()
     print(fleet.wait_mission("RUNNING", "SLOWED", timeout_s=60.0))
     fleet.end()

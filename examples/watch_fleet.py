@@ -13,7 +13,9 @@ async def watch(fleet: shoal.ConnectedFleet) -> None:
     while await asyncio.to_thread(fleet.mission, max_age_s=10.0) not in ("DONE", "FAILED", "CANCELLED"):
         for robot in fleet.robots:
             state = await asyncio.to_thread(fleet.state, robot, max_age_s=10.0)
-            print(f"robot {robot}: {state.mode.name}, x {state.eta[0]:.2f} y {state.eta[1]:.2f} m, {state.battery_v:.1f} V")
+            where = "place not known" if state.estimate is None else "x {:.2f} y {:.2f} m".format(*state.estimate.eta[:2])
+            battery = "board not heard" if state.board is None else f"{state.board.battery_v:.1f} V"
+            print(f"robot {robot}: {state.mode.name}, {where}, {battery}")
         await asyncio.sleep(1.0)
 
 

@@ -15,7 +15,7 @@ from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import LocalizerStatus, Mode, Obstacles, Plan, Pose, RobotState, Solve, Track
+from shoal.messages.messages import Estimate, LocalizerStatus, Mode, Obstacles, Plan, Pose, RobotState, Solve, Track
 from shoal.runtime.runtime import Clock, age_s
 
 NEVER_S = 1000.0  # age by which an agent reports a board that it never heard
@@ -66,18 +66,22 @@ class RobotView:
         """Distance from its reference in m; 0 while it does not fly."""
         if self.state is None or self.mode is not Mode.TRACKING:
             return 0.0
-        return float(np.linalg.norm(self.state.eta[:3] - self.state.eta_reference[:3]))
+        return self.state.error_m or 0.0
 
     @property
     def speed_mps(self) -> float:
         """Speed over the floor."""
-        return float(np.linalg.norm(self.state.nu[:3])) if self.state is not None else 0.0
+        return float(np.linalg.norm(self._estimate.nu[:3])) if self._estimate is not None else 0.0
+
+    @property
+    def _estimate(self) -> Estimate | None:
+        return self.state.estimate if self.state is not None else None
 
     @property
     def eta(self) -> Array:
         """Best known pose (4,): its own estimate if it is heard, else the localizer's pose, else its last estimate."""
-        if self.state is not None and (self.heard or self.pose is None):
-            return self.state.eta
+        if self._estimate is not None and (self.heard or self.pose is None):
+            return self._estimate.eta
         if self.pose is not None:
             return np.array([self.pose.x_m, self.pose.y_m, self.pose.depth_m, self.pose.yaw_rad])
         return np.zeros(4)
@@ -85,8 +89,8 @@ class RobotView:
     @property
     def rest(self) -> Array:
         """Pose (4,) in which it rests: the place that it holds, or its pose if it holds none."""
-        if self.state is not None and self.mode is Mode.HOLDING:
-            return np.array([*self.state.eta_reference[:3], self.state.eta[3]])
+        if self.state is not None and self.mode is Mode.HOLDING and self.state.control is not None:
+            return np.array([*self.state.control.eta_reference[:3], self.eta[3]])
         return self.eta
 
 
@@ -246,20 +250,22 @@ def _pose(experiment: Experiment, view: RobotView, state: RobotState) -> Finding
 
 def _board(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
     """Findings about the thruster board: silence, lost messages, depth, battery."""
-    age_s = state.board_age_ms * 1e-3
-    if age_s > topics.STATE.max_age_s:
-        text = f"thruster board silent for {age_s:.1f} s" if age_s < NEVER_S else "thruster board not heard"
+    age_s, board = state.timing.board_age_ms * 1e-3, state.board
+    if board is None or age_s > topics.STATE.max_age_s:
+        text = (
+            f"thruster board silent for {age_s:.1f} s" if board is not None and age_s < NEVER_S else "thruster board not heard"
+        )
         yield "board", "critical", True, text, "check its cable and power"
         return
-    if state.board_loss > LOSSY:
-        text = f"{state.board_loss:.0%} of the board's messages are lost"
+    if board.loss > LOSSY:
+        text = f"{board.loss:.0%} of the board's messages are lost"
         yield "loss", "warning", True, text, "check the cable between computer and board"
     depth_m = experiment.pool.size_m[2]
-    if experiment.pool.walls and not -DEPTH_SLACK_M <= state.depth_m <= depth_m + DEPTH_SLACK_M:
-        text = f"depth {state.depth_m:.2f} m in a basin of {depth_m:g} m"
+    if experiment.pool.walls and not -DEPTH_SLACK_M <= board.depth_m <= depth_m + DEPTH_SLACK_M:
+        text = f"depth {board.depth_m:.2f} m in a basin of {depth_m:g} m"
         yield "depth", "warning", True, text, "check its pressure sensor, or its zero"
     battery = experiment.vehicle.battery
-    if state.battery_v <= 0.0:  # RobotState's default: the board tells its voltage a second after its first word
+    if board.battery_v <= 0.0:  # the default: the board tells its voltage a second after its first word
         yield (
             "battery",
             "warning",
@@ -267,11 +273,11 @@ def _board(experiment: Experiment, view: RobotView, state: RobotState) -> Findin
             "battery not heard yet",
             "wait a second; if it lasts, check the board",
         )
-    elif state.battery_v < battery.no_arm_v:
-        text = f"battery {state.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
+    elif board.battery_v < battery.no_arm_v:
+        text = f"battery {board.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
         yield "battery", "critical", True, text, "charge it"
-    elif state.battery_v < battery.warn_v:
-        yield "battery", "warning", False, f"battery {state.battery_v:.1f} V", "charge it soon"
+    elif board.battery_v < battery.warn_v:
+        yield "battery", "warning", False, f"battery {board.battery_v:.1f} V", "charge it soon"
 
 
 def _link(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
@@ -311,14 +317,15 @@ def _step(experiment: Experiment, view: RobotView, state: RobotState) -> Finding
 
 
 def _control(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
-    if state.solve is Solve.FAILED:
+    control, step_us = state.control, state.timing.step_us
+    if control is not None and control.solve is Solve.FAILED:
         yield "solve", "critical", False, "the solver failed: neutral", ""
-    elif state.solve is Solve.SHIFTED:
+    elif control is not None and control.solve is Solve.SHIFTED:
         yield "solve", "notice", False, "an old plan is flown on", ""
-    if state.step_us * 1e-6 > LATE_SHARE * experiment.controller.period_s:
-        yield "late", "notice", False, f"control step takes {state.step_us * 1e-3:.0f} ms", ""
-    if state.slack_m > CLOSE_M:
-        yield "close", "warning", False, f"its plan enters another robot's space by {state.slack_m * 1e3:.0f} mm", ""
+    if step_us * 1e-6 > LATE_SHARE * experiment.controller.period_s:
+        yield "late", "notice", False, f"control step takes {step_us * 1e-3:.0f} ms", ""
+    if control is not None and control.slack_m > CLOSE_M:
+        yield "close", "warning", False, f"its plan enters another robot's space by {control.slack_m * 1e3:.0f} mm", ""
 
 
 def _sight(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
@@ -333,8 +340,13 @@ CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], FindingFields], ...]
 
 
 def _start(experiment: Experiment, state: RobotState, start: Array) -> FindingFields:
-    away_m = float(np.hypot(*(state.eta[:2] - start[:2])))
-    if state.pose_age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3 and away_m > experiment.mission.start_within_m:
+    if state.estimate is None:
+        return
+    away_m = float(np.hypot(*(state.estimate.eta[:2] - start[:2])))
+    if (
+        state.timing.pose_age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3
+        and away_m > experiment.mission.start_within_m
+    ):
         text = f"is {away_m:.2f} m from its start ({start[0]:.2f}, {start[1]:.2f}) m"
         yield "start", "notice", True, text, "bring it there, or: groundstation mission return"
 

@@ -160,8 +160,10 @@ class LocalizerNode:
         depths_m, known_attitudes = dict[int, float](), dict[int, Attitude]()
         try:
             states = self._fresh_states(captured.inputs_up_to_ns)
-            self._reported_places = {robot: state.message.eta[:3] for robot, state in states.items() if state.message.planned}
-            depths_m = {robot: state.message.depth_m for robot, state in states.items()}
+            estimates = {robot: state.message.estimate for robot, state in states.items()}
+            self._reported_places = {robot: estimate.eta[:3] for robot, estimate in estimates.items() if estimate is not None}
+            boards = {robot: state.message.board for robot, state in states.items()}
+            depths_m = {robot: board.depth_m for robot, board in boards.items() if board is not None}
             attitudes = {robot: self._attitude(state, captured.instant_ns) for robot, state in states.items()}
             known_attitudes = {robot: attitude for robot, attitude in attitudes.items() if attitude is not None}
             result = self._localizer.locate(captured.pixels, captured.instant_ns, depths_m, known_attitudes)
@@ -267,14 +269,18 @@ class LocalizerNode:
         return {
             robot: state
             for robot, state in newest_states.items()
-            if state is not None and age_s(self._clock, state) <= limit_s and state.message.board_age_ms <= limit_s * 1e3
+            if state is not None
+            and age_s(self._clock, state) <= limit_s
+            and state.message.timing.board_age_ms <= limit_s * 1e3
         }
 
     def _attitude(self, state: Received[RobotState], exposed_ns: int) -> Attitude | None:
         """Roll and pitch at the exposure, if the robot's board measures them."""
-        measured_ns = self._clock.instant_ns(state) - state.message.board_age_ms * 1e6
+        if state.message.board is None:
+            return None
+        measured_ns = self._clock.instant_ns(state) - state.message.timing.board_age_ms * 1e6
         later_s = (exposed_ns - measured_ns) * 1e-9
-        return Attitude.at(state.message.tilt, later_s, self._experiment.localizer.attitude_sigma_rad)
+        return Attitude.at(state.message.board.tilt, later_s, self._experiment.localizer.attitude_sigma_rad)
 
     def _own(self, topic: Topic) -> Topic:
         """The topic of this localizer's camera."""

@@ -22,7 +22,7 @@ from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle, OwnHullFilter, grown_with_age, island_obstacles, obstacles_from_message
 from robot_agent.guidance.reference import Goal, Hold
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
-from robot_agent.inputs import Inputs, StampedPose, StationView
+from robot_agent.inputs import Inputs, StampedPose, StationView, board_reading
 from robot_agent.safety.health import HealthMonitor
 from robot_agent.safety.modes import DRIVE_LASTS_S, ORDERS, POWERED, Health, react, refusal
 from robot_agent.safety.thruster_selftest import ThrusterSelftest
@@ -34,7 +34,9 @@ from shoal.messages.camera_coverage import outside_m
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
     Command,
+    Control,
     DriveVelocity,
+    Estimate,
     Mode,
     Order,
     Plan,
@@ -42,6 +44,7 @@ from shoal.messages.messages import (
     Reply,
     RobotState,
     Solve,
+    StepTiming,
     Track,
     Trajectory,
 )
@@ -126,7 +129,7 @@ class Agent:
         self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, given_ns: int, now_ns: int
     ) -> str:
         """Return the reason to refuse a command whose mode and origin are right; empty if there is none."""
-        eta = self._last.eta if self._last is not None and self._last.estimated else None
+        eta = self._estimate.eta if self._estimate is not None else None
         flaw = prepared if isinstance(prepared, str) else ""
         reason = self._clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta, flaw)
         if reason:
@@ -205,7 +208,7 @@ class Agent:
         self._health.note_output(output, self.mode, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
         adrift = goal is None or output.solve is Solve.FAILED
-        plan = self._plan(output, heard, adrift) if output.estimated else None
+        plan = self._plan(output, heard, adrift) if output.estimate is not None else None
         return Outputs(
             pulses,
             self._health.arming_command(inputs.telemetry.armed, self.mode, now_ns),
@@ -219,11 +222,13 @@ class Agent:
         ranges = zip(output.pulse_us, self._ranges_us, strict=True)
         if all(low <= pulse <= high for pulse, (low, high) in ranges) and output.is_finite:
             return output
-        nothing = [np.zeros_like(value) if isinstance(value, np.ndarray) else value for value in output]
-        return ControlOutput._make(nothing)._replace(
-            pulse_us=self.neutral_us, solve=Solve.FAILED, tracking_error_m=0.0, slack_m=0.0, drag_ratio=0.0,
-            thrust_ratio=0.0, estimated=False,
-        )  # fmt: skip
+        nowhere = np.zeros_like(output.plan_eta)
+        return ControlOutput(self.neutral_us, None, Control(solve=Solve.FAILED), nowhere, nowhere)
+
+    @property
+    def _estimate(self) -> Estimate | None:
+        """The last step's estimate."""
+        return self._last.estimate if self._last is not None else None
 
     def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
         """Return the controller's pulses, or those of a thruster self-test while it runs."""
@@ -237,7 +242,9 @@ class Agent:
     def note_sent(self, state: RobotState, now_ns: int) -> None:
         """Take note of the pulses and wrench that really went out at `now_ns` instead of those of the last step (a rerun moves
         no robot)."""
-        self.controller.note_command(state.wrench, state.wrench_delivered, now_ns)
+        control, still = state.control, np.zeros(len(self._experiment.vehicle.limits.wrench))
+        wrench, delivered = (still, still) if control is None else (control.wrench, control.wrench_delivered)
+        self.controller.note_command(wrench, delivered, now_ns)
         self._health.note_pulses(state.pulse_us, now_ns)
 
     @property
@@ -263,22 +270,23 @@ class Agent:
     def _left_the_picture(self) -> bool:
         """True if the robot's estimate is not wholly in a picture of the cameras that locate it. A moving camera's place is
         not known here: False then."""
-        experiment, last = self._experiment, self._last
-        if last is None or not last.estimated or not experiment.localizer.uses_camera or experiment.landmarks:
+        experiment, estimate = self._experiment, self._estimate
+        if estimate is None or not experiment.localizer.uses_camera or experiment.landmarks:
             return False
-        return float(outside_m(experiment.all_cameras, last.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
+        return float(outside_m(experiment.all_cameras, estimate.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
 
     def _goal(self, neighbours: Sequence[Neighbour], obstacles: Sequence[Obstacle], now_ns: int) -> Goal | None:
         """Return the controller's goal in the present mode; None is neutral."""
         if self.mode is Mode.TRACKING:
             return self._clock.goal(self.inputs.station, now_ns)
         if self.mode is Mode.HOLDING:
-            leapt = self._last is not None and self._last.leap != ""  # the place to hold was never the robot's
-            if (self._hold is None or leapt) and self._last is not None and self._last.estimated:
-                self._hold = Hold(self._last.eta)
+            observation = self._last.observation if self._last is not None else None
+            # After a leap the place to hold was never the robot's
+            if observation is not None and (self._hold is None or observation.leap):
+                self._hold = Hold(observation.eta)
             return self._hold
-        if self._driven is not None and self._last is not None and self._last.estimated:
-            (velocity, given_ns), eta = self._driven, self._last.eta
+        if self._driven is not None and self._estimate is not None:
+            (velocity, given_ns), eta = self._driven, self._estimate.eta
             lasts_s = DRIVE_LASTS_S - (now_ns - given_ns) * 1e-9
             around = driving.bodies(neighbours, obstacles, self.controller.formation, now_ns)
             return self._driver.goal(velocity, lasts_s, eta, around)
@@ -302,8 +310,8 @@ class Agent:
         if watched is None:
             return ()
         found = obstacles_from_message(watched.obstacles, watched.instant_ns, safety.radius_m)
-        if self._last is not None and self._last.estimated:
-            x, y, _, _ = self._last.eta.tolist()
+        if self._estimate is not None:
+            x, y, _, _ = self._estimate.eta.tolist()
             found = self._own_hull.exclude(found, complex(x, y), now_ns)
         return tuple(
             grown_with_age(obstacle, safety, now_ns) if is_old(obstacle.age_s(now_ns)) else obstacle for obstacle in found
@@ -349,34 +357,17 @@ class Agent:
             tuning_id=self._tuning.id,
             trajectory_s=self._clock.reached_s,
             trajectory_id=self._clock.id,
-            eta=output.eta,
-            nu=output.nu,
-            disturbance=output.disturbance,
-            eta_reference=output.eta_reference,
-            eta_command=output.eta_command,
-            wrench=output.wrench,
-            wrench_step=output.wrench_step,
-            wrench_wanted=output.wrench_wanted,
-            wrench_delivered=output.wrench_delivered,
             pulse_us=pulse_us,
-            echo_us=telemetry.echo_us,
             track=seen.pose.track if seen is not None else Track.LOST,
-            pose_age_ms=min(health.pose_age_s * 1e3, unheard),
-            depth_m=telemetry.depth_m,
-            tilt=np.array(telemetry.tilt, dtype=np.float64),
-            battery_v=telemetry.battery_v,
-            board_armed=telemetry.armed,
-            board_age_ms=min(health.board_age_s * 1e3, unheard),
-            board_loss=telemetry.loss,
-            solve=output.solve,
-            iterations=output.iterations,
-            slack_m=output.slack_m,
-            thruster_test=self._selftest.result if self._selftest is not None else "",
             heard=heard,
-            planned=output.estimated,
             blind=blind,
-            drag_ratio=output.drag_ratio,
-            thrust_ratio=output.thrust_ratio,
+            thruster_test=self._selftest.result if self._selftest is not None else "",
+            estimate=output.estimate,
+            control=output.control,
+            board=board_reading(telemetry) if telemetry.board_ms >= 0 else None,
+            timing=StepTiming(
+                pose_age_ms=min(health.pose_age_s * 1e3, unheard), board_age_ms=min(health.board_age_s * 1e3, unheard)
+            ),
         )
 
 

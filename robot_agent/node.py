@@ -363,17 +363,17 @@ class AgentNode:
         age_ns = 0 if self.clock.waits else sent_ns
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=age_ns)
-        latency_ms = outputs.state.pose_age_ms + (0.0 if self.clock.waits else sent_ns * 1e-6)
+        latency_ms = outputs.state.timing.pose_age_ms + (0.0 if self.clock.waits else sent_ns * 1e-6)
         telemetry = self.mavlink.telemetry
-        state = replace(
-            outputs.state,
+        timing = replace(
+            outputs.state.timing,
             step_us=step_ns * 1e-3,
             exposure_to_pwm_ms=latency_ms,
             missed_deadlines=self._pace.missed,
-            code=code().short,
             board_round_trip_ms=telemetry.round_trip_ns * 1e-6,
             board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
         )
+        state = replace(outputs.state, code=code().short, timing=timing)
         self._bus.publish(topics.STATE, state, now_ns, self._robot, age_ns=age_ns)
         if (state.doing, state.fault) != self._logged_state:
             self._logged_state = (state.doing, state.fault)

@@ -10,9 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
+from robot_agent.inputs import COPIED, Inputs, StampedObstacles, StampedPlan, StampedPose, StationView, board_reading
 from shoal.bus.bus import Received
 from shoal.mavlink.agent_link import Telemetry
 from shoal.messages.codec import Header
@@ -47,7 +45,7 @@ def record_step(
         late_steps=late_steps,
         **_seen(clock, pose),
         **_station(clock, heartbeat),
-        board=_reading(telemetry),
+        board=board_reading(telemetry),
         plan_robots=tuple(robots),
         plan_sessions=tuple(plans[robot].header.session for robot in robots),
         plan_sequences=tuple(plans[robot].header.sequence for robot in robots),
@@ -118,17 +116,7 @@ def _station(clock: Clock, heartbeat: Received[StationHeartbeat] | None) -> dict
     }
 
 
-_VECTORS = ("acceleration_mps2", "tilt")
-_READ = tuple(name for name in BoardReading.__dataclass_fields__ if name not in _VECTORS)
-
-
-def _reading(telemetry: Telemetry) -> BoardReading:
-    copied = {name: getattr(telemetry, name) for name in _READ}
-    acceleration_mps2, tilt = (np.array(getattr(telemetry, name), dtype=np.float64) for name in _VECTORS)
-    return BoardReading(acceleration_mps2=acceleration_mps2, tilt=tilt, **copied)
-
-
 def _telemetry(reading: BoardReading) -> Telemetry:
     x, y, z = reading.acceleration_mps2.tolist()
     tilt = tuple(reading.tilt.tolist())
-    return Telemetry(acceleration_mps2=(x, y, z), tilt=tilt, **{name: getattr(reading, name) for name in _READ})
+    return Telemetry(acceleration_mps2=(x, y, z), tilt=tilt, **{name: getattr(reading, name) for name in COPIED})

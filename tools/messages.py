@@ -33,8 +33,10 @@ def field_comments(cls: type) -> dict[str, str]:
     for node in body.body:
         target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0] if isinstance(node, ast.Assign) else None
         if isinstance(target, ast.Name):
-            _, _, comment = source.splitlines()[node.lineno - 1].partition("#")
-            comments[target.id] = comment.strip()
+            lines = source.splitlines()[node.lineno - 1 : (node.end_lineno or node.lineno) + 1]
+            here, below = lines[-2 if len(lines) > 1 else -1], lines[-1].strip()
+            _, _, comment = here.partition("#")
+            comments[target.id] = comment.strip() or (below.removeprefix("#").strip() if below.startswith("#") else "")
     return comments
 
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from tools import evidence, keys, laws, messages, proto, tables
+from tools import evidence, keys, laws, messages, proto, tables, typescript
 
-GENERATORS = (keys, messages, proto, tables, evidence, laws)
+GENERATORS = (keys, messages, proto, tables, typescript, evidence, laws, typescript)
 
 
 def files() -> dict[Path, str]:

@@ -34,11 +34,15 @@ from shoal.bus.bus import Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import (
+    BoardReading,
     CameraHealth,
+    Control,
     DriveVelocity,
+    Estimate,
     LocalizerStatus,
     Message,
     Mode,
@@ -48,7 +52,9 @@ from shoal.messages.messages import (
     Preview,
     RobotState,
     Solve,
+    StepTiming,
     Track,
+    required,
 )
 from shoal.messages.topics import Topic
 from shoal.runtime.cli_options import DEFAULT_FLEET
@@ -67,15 +73,12 @@ FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--dis
 
 STATE = RobotState(
     mode=Mode.TRACKING,
-    wrench=np.array([3.0, 0.1, 0.2]),
-    disturbance=np.array([0.02, 0.01, 0.0, 0.0]),
     pulse_us=(1600, 1580, 1420, 1450, 1500, 1500, 1500, 1500),
     track=Track.MARKER,
-    pose_age_ms=30.0,
-    board_armed=True,
-    battery_v=12.2,
-    solve=Solve.SOLVED,
-    step_us=900.0,
+    control=Control(wrench=np.array([3.0, 0.1, 0.2]), solve=Solve.SOLVED),
+    estimate=Estimate(disturbance=np.array([0.02, 0.01, 0.0, 0.0])),
+    timing=StepTiming(pose_age_ms=30.0, step_us=900.0),
+    board=BoardReading(armed=True, battery_v=12.2),
 )
 
 # Frames drawn, and for each new state and picture the ms from its stamp to the frame after.
@@ -111,6 +114,13 @@ def fleet(robots: int) -> Experiment:
     )
 
 
+def _state(near: Array, eta: Array, trajectory_s: float) -> RobotState:
+    """A state of a robot near its reference, (4,) each."""
+    estimate = replace(required(STATE.estimate), eta=near)
+    control = replace(required(STATE.control), eta_reference=eta)
+    return replace(STATE, estimate=estimate, control=control, trajectory_s=trajectory_s)
+
+
 def _round(robots: int) -> list[list[tuple[str, Topic, bytes]]]:
     """The messages of a fleet in ROUND control periods, encoded: in a pool fifty boards do that, not one process."""
     trajectories = planner.plan(fleet(robots))
@@ -121,7 +131,7 @@ def _round(robots: int) -> list[list[tuple[str, Topic, bytes]]]:
             eta = trajectory.eta[step]
             near = eta + 0.01 * np.sin(0.1 * step + robot)
             messages: list[tuple[Topic, Message]] = [
-                (topics.STATE, replace(STATE, eta=near, eta_reference=eta, trajectory_s=step * PERIOD_S)),
+                (topics.STATE, _state(near, eta, step * PERIOD_S)),
                 (topics.POSE, Pose(near[0], near[1], near[3], 1e-5 * np.eye(3), Track.MARKER, True)),
                 (topics.PLAN, Plan(PERIOD_S, trajectory.eta[step:][:NODES])),
             ]

@@ -25,7 +25,7 @@ from localizer.tracking.fleet_localizer import FleetLocalizer
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.scene import RobotConfig
 from shoal.frames import Array, pool_to_body, wrap
-from shoal.messages.messages import Pose, Track, Trajectory
+from shoal.messages.messages import Pose, Track, Trajectory, required
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
@@ -171,7 +171,9 @@ class _SeenFleet(AgentFleet):
     def expose(self, stamp_ns: int) -> None:
         super().expose(stamp_ns)
         water, ids = self._flown, self.experiment.robot_ids
-        depths = {i: robot.states[-1].depth_m for i, robot in zip(ids, self.robots, strict=True) if robot.states}
+        depths = {
+            i: required(robot.states[-1].board).depth_m for i, robot in zip(ids, self.robots, strict=True) if robot.states
+        }
         self._frames += 1
         self.lean_rad += np.hypot(*water.tilt[:, :2].T).tolist()
         for how, run in self.runs.items():

@@ -19,7 +19,7 @@ from robot_agent.vehicle.dynamics import Model, State
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array, wrap
-from shoal.messages.messages import Plan, Solve, Trajectory
+from shoal.messages.messages import Plan, Solve, Trajectory, required
 
 STEP_NS, STEP_S = 50_000_000, 0.05
 WARM_UP = 60  # steps, 3 s: from rest to speed
@@ -134,10 +134,12 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
                 if i == 0 and k >= 0:
                     took.append((clock() - begin_ns) * 1e-3)
                     errors.append(float(np.hypot(*(np.array(states[0][:2]) - paths[0].eta[k + WARM_UP, :2]))))
-                    changes.append(output.wrench_step / experiment.wrench_step)
+                    changes.append(required(output.control).wrench_step / experiment.wrench_step)
                     unsolved += output.solve is not Solve.SOLVED
                 plans[i] = Plan(STEP_S, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
-                states[i] = model.advance(states[i], (0.01, 0.0, 0.0, 0.0), output.wrench_delivered.tolist(), STEP_S)
+                states[i] = model.advance(
+                    states[i], (0.01, 0.0, 0.0, 0.0), required(output.control).wrench_delivered.tolist(), STEP_S
+                )
     finally:
         gc.enable()
     return Flown(took, errors, np.array(changes), unsolved)

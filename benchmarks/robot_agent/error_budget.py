@@ -7,6 +7,7 @@ worst robot after 20 s, axis by axis.
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from benchmarks.flights import prepared
 from benchmarks.harness import Row
 from robot_agent.vehicle.dynamics import propagate
 from robot_agent.vehicle.eso import Estimator
-from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.experiment import load_experiment
 from shoal.frames import wrap
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
@@ -57,7 +58,7 @@ class KnowingEstimator(Estimator):
     robot: int
     parts: Sequence[str]
 
-    def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
+    def update(self, measurement: StateMeasurement, now_ns: int) -> Observation | None:
         """As `Estimator.update`; its state at the action is predicted from what is exchanged."""
         estimate = super().update(measurement, now_ns)
         if estimate is None or not self.parts:
@@ -80,7 +81,8 @@ class KnowingEstimator(Estimator):
         action = propagate(
             self._model.motion, state, tuple(gamma.tolist()), water, self._commands(), now_ns, now_ns + self._dead_ns
         )
-        return estimate._replace(eta=eta, nu=nu, disturbance=gamma, current=current, action=np.array(action))
+        known = replace(estimate.estimate, eta=eta, nu=nu)
+        return estimate._replace(estimate=known, disturbance=gamma, current=current, action=np.array(action))
 
 
 def rms_mm(fleet: AgentFleet) -> list[float]:

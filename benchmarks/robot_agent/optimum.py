@@ -16,6 +16,7 @@ from benchmarks.flights import SceneFlight, flown
 from benchmarks.harness import Row, run_peer
 from benchmarks.robot_agent.error_budget import CAMERA
 from shoal.config.experiment import load_experiment
+from shoal.messages.messages import required
 
 BENCHMARK = "optimum"
 PERIOD_S = 0.05
@@ -54,9 +55,9 @@ def task(case: BoundedRun, flight: SceneFlight) -> dict[str, object]:
     for i, trajectory in enumerate(flight.fleet.trajectories.values()):
         robot = {"start": flight.truth[0, i].tolist(), "reference": trajectory.eta[: steps + 1].tolist(), "hz": float(hz[i])}
         if plant.sway:
-            nu = [state.nu.tolist() for state in flight.states[i][: steps + 1]]
+            nu = [required(state.estimate).nu.tolist() for state in flight.states[i][: steps + 1]]
             robot["flown"] = np.column_stack([flight.truth[: steps + 1, i], nu]).tolist()
-            robot["wrench"] = [state.wrench.tolist() for state in flight.states[i][:steps]]
+            robot["wrench"] = [required(state.control).wrench.tolist() for state in flight.states[i][:steps]]
         robots.append(robot)
     return {
         "name": experiment.name,

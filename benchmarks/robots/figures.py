@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.robots.claims import GROUPS
 from benchmarks.robots.flights import STOPPED, FlightLog
 from shoal.frames import Array
-from shoal.messages.messages import Mode
+from shoal.messages.messages import Mode, required
 
 SETTLED_M = 0.05  # this near a robot counts as on its path, or in its place
 STEADY_S = 20.0  # RMS are from here on, as in all other tables of this project
@@ -73,8 +73,8 @@ def figures(log: FlightLog) -> FlightFigures:
     away_m = [float(np.median(values, axis=0).max()) for values in (off_m[last], place[-_rows(log, LAST_S) :]) if len(values)]
     fell = is_stop and log.hold_row is None  # on its path
     stop_s, reason = _stop(log)
-    wrench = np.array([[s.wrench for s in states] for states in log.states])
-    step = np.array([[s.wrench_step for s in states] for states in log.states])
+    wrench = np.array([[required(s.control).wrench for s in states] for states in log.states])
+    step = np.array([[required(s.control).wrench_step for s in states] for states in log.states])
     meets = len(log.states) > 1
     return FlightFigures(
         *head,
@@ -138,7 +138,7 @@ def _hold(log: FlightLog) -> Array:
     holds = [i for i, states in enumerate(log.states) if states[log.hold_row].mode is Mode.HOLDING]
     choice = min(log.hold_row + _rows(log, HOLD_FROM_S), len(log.truth)) - 1
     away = [
-        np.hypot(*(log.truth[log.hold_row :, i, :2] - log.states[i][choice].eta_reference[:2]).T)
+        np.hypot(*(log.truth[log.hold_row :, i, :2] - required(log.states[i][choice].control).eta_reference[:2]).T)
         for i in holds
         if log.states[i][-1].mode is Mode.HOLDING
     ]

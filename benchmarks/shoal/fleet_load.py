@@ -8,6 +8,8 @@ from shoal.messages import topics
 from shoal.messages.codec import encode
 from shoal.messages.messages import (
     BoardReading,
+    Control,
+    Estimate,
     LocalizerStatus,
     Plan,
     Pose,
@@ -44,10 +46,21 @@ def _period(chance: np.random.Generator) -> Iterator[tuple[Topic, int | None, by
         pose = Pose(x_m, y_m, yaw_rad, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
         four, three = chance.normal(0.0, 1.0, 4), chance.normal(0.0, 1.0, 3)
         state = RobotState(
-            experiment_hash="0" * 64, trajectory_id="0" * 12, eta=four, nu=four, disturbance=four, eta_reference=four,
-            eta_command=four, wrench=three, wrench_step=three, wrench_wanted=three, wrench_delivered=three,
-            pulse_us=(1500,) * 8, echo_us=(1500,) * 8, heard=others,
-        )  # fmt: skip
+            experiment_hash="0" * 64,
+            trajectory_id="0" * 12,
+            pulse_us=(1500,) * 8,
+            heard=others,
+            estimate=Estimate(eta=four, nu=four, disturbance=four),
+            control=Control(
+                eta_reference=four,
+                eta_command=four,
+                wrench=three,
+                wrench_step=three,
+                wrench_wanted=three,
+                wrench_delivered=three,
+            ),
+            board=BoardReading(echo_us=(1500,) * 8),
+        )
         inputs = StepInputs(
             int(chance.integers(2**31)), pose, SECOND, 5_000_000, heartbeat, 2**62, SECOND, SECOND, BoardReading(depth_m=0.3),
             others, tuple(2**62 + r for r in others), tuple(int(k) for k in chance.integers(2**31, size=len(others))),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from groundstation.analysis.series import CHANNELS, HOPS, Flight, Mask, RobotSeries, Series, States, TimelineEvent
+from groundstation.analysis.series import HOPS, Flight, Mask, RobotSeries, Series, States, TimelineEvent
 from groundstation.analysis.timeline import STOOD_STILL, once
 from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import DecodedMessage, RunLog
@@ -303,7 +303,9 @@ def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
 def _located(states: Sequence[DecodedMessage[RobotState]], poses: Sequence[DecodedMessage[Pose]]) -> _Samples:
     """Instead of the truth: the localizer's poses, with the depth that the robot measured."""
     stamps = np.array([e.stamp_ns for e in poses], dtype=np.float64)
-    depth = np.array([(e.stamp_ns, e.message.depth_m) for e in states], dtype=np.float64).reshape(-1, 2)
+    depth = np.array(
+        [(e.stamp_ns, e.message.board.depth_m) for e in states if e.message.board is not None], dtype=np.float64
+    ).reshape(-1, 2)
     depth_m = np.interp(stamps, depth[:, 0], depth[:, 1]) if len(depth) else np.full(len(stamps), np.nan)
     rows = [[e.message.x_m, e.message.y_m, z, e.message.yaw_rad] for e, z in zip(poses, depth_m, strict=True)]
     return _samples(list(stamps), [np.array(row) for row in rows])
@@ -404,11 +406,12 @@ def hops_of(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Arr
     """Shares in ms of the time from the exposure to the PWM, by HOPS; NaN where the pose was an old one, or nothing is
     known."""
     unknown = np.full(len(HOPS), np.nan)
-    if inputs is None or inputs.pose is None or state.message.exposure_to_pwm_ms <= 0.0:
+    timing = state.message.timing
+    if inputs is None or inputs.pose is None or timing.exposure_to_pwm_ms <= 0.0:
         return unknown
     told_ms = inputs.pose_told_age_ns * 1e-6
     age_ms = (state.stamp_ns - state.shift_ns - inputs.pose_instant_ns) * 1e-6  # both on the robot's own clock
-    answered_ms, step_ms = state.message.exposure_to_pwm_ms - state.message.pose_age_ms, state.message.step_us * 1e-3
+    answered_ms, step_ms = timing.exposure_to_pwm_ms - timing.pose_age_ms, timing.step_us * 1e-3
     hops = np.array([told_ms, age_ms - told_ms, step_ms, max(answered_ms - step_ms, 0.0)])
     return hops if age_ms <= OLD_POSE_MS else unknown
 
@@ -422,42 +425,12 @@ def messages_lost(entries: Sequence[DecodedMessage[Any]]) -> int:
 def _states(
     entries: Sequence[DecodedMessage[RobotState]], with_formation: Mask, inputs: Mapping[int, StepInputs], start_ns: int
 ) -> States:
-    """A robot's states as arrays, one row a control step."""
-    messages = [e.message for e in entries]
-    axes = len(messages[0].wrench) if messages else 3
-
-    def column(values: Sequence[float]) -> Array:
-        return np.array(values, dtype=np.float64)
-
-    def rows(values: Sequence[Array | list[float]], width: int) -> Array:
-        return np.array(values, dtype=np.float64).reshape(-1, width)
-
-    def channels(values: Sequence[Sequence[int]]) -> Array:
-        return rows([[*value[:CHANNELS], *[np.nan] * (CHANNELS - len(value))] for value in values], CHANNELS)
-
+    """A robot's states, one row a control step."""
     return States(
-        time_s=column([(e.stamp_ns - start_ns) * 1e-9 for e in entries]),
-        mode=column([m.mode for m in messages]),
-        guidance=column([m.guidance for m in messages]),
+        time_s=np.array([(e.stamp_ns - start_ns) * 1e-9 for e in entries], dtype=np.float64),
+        messages=[e.message for e in entries],
         with_formation=with_formation,
-        faulty=np.array([bool(m.fault) for m in messages], dtype=np.bool_),
-        trajectory_s=column([m.trajectory_s for m in messages]),
-        eta=rows([m.eta for m in messages], 4),
-        eta_reference=rows([m.eta_reference for m in messages], 4),
-        eta_command=rows([m.eta_command for m in messages], 4),
-        disturbance=rows([m.disturbance for m in messages], 4),
-        wrench=rows([m.wrench for m in messages], axes),
-        wrench_step=rows([m.wrench_step for m in messages], axes),
-        wrench_wanted=rows([m.wrench_wanted for m in messages], axes),
-        pulse_us=channels([m.pulse_us for m in messages]),
-        echo_us=channels([m.echo_us for m in messages]),
-        exposure_to_pwm_ms=column([m.exposure_to_pwm_ms for m in messages]),
-        step_us=column([m.step_us for m in messages]),
-        iterations=column([m.iterations for m in messages]),
-        missed_deadlines=column([m.missed_deadlines for m in messages]),
-        slack_m=column([m.slack_m for m in messages]),
-        board_loss=column([m.board_loss for m in messages]),
-        hops_ms=rows([hops_of(e, inputs.get(e.stamp_ns)) for e in entries], len(HOPS)),
+        hops_ms=np.array([hops_of(e, inputs.get(e.stamp_ns)) for e in entries], dtype=np.float64).reshape(-1, len(HOPS)),
     )
 
 

@@ -51,7 +51,7 @@ def measures(series: Series, log: RunLog, result: Result) -> dict[str, float | N
         "wrench_step_rms": max(c / b for c, b in zip(changes, bound, strict=False)) if changes else None,
         "at_fault": _share(states, lambda state: bool(state.fault)),
         "off_track": _share(states, lambda state: state.mode is not Mode.TRACKING),
-        "unsolved": _share(states, lambda state: state.solve is not Solve.SOLVED),
+        "unsolved": _share(states, lambda state: state.control is None or state.control.solve is not Solve.SOLVED),
     }
 
 

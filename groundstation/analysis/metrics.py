@@ -21,6 +21,7 @@ from groundstation.analysis.results import (
     Three,
 )
 from groundstation.analysis.series import (
+    CHANNELS,
     HOPS,
     SETTLED_S,
     Flight,
@@ -46,8 +47,10 @@ def evaluate(series: Series, log: RunLog) -> Result:
     robots = {str(robot): dataclasses.replace(_robot(series, robot), end=_end(log, robot)) for robot in experiment.robot_ids}
     pairs = {f"{a}-{b}": _pair(series, a, b) for a, b in combinations(experiment.robot_ids, 2)}
     flying = [r.states.tracking & _within(r.states.time_s, series) for r in each]
-    step_us = np.concatenate([r.states.step_us[rows] for r, rows in zip(each, flying, strict=True)])
-    latency_ms = np.concatenate([r.states.exposure_to_pwm_ms[rows] for r, rows in zip(each, flying, strict=True)])
+    step_us = np.concatenate([r.states.timing(lambda t: t.step_us)[rows] for r, rows in zip(each, flying, strict=True)])
+    latency_ms = np.concatenate(
+        [r.states.timing(lambda t: t.exposure_to_pwm_ms)[rows] for r, rows in zip(each, flying, strict=True)]
+    )
     located = np.concatenate([r.pose_error[_within(r.pose_time_s, series)] for r in each])
     steps, missed = sum(r.control_steps for r in robots.values()), sum(r.missed_deadlines for r in robots.values())
     wear = [r.dtau_rms for r in robots.values() if r.dtau_rms is not None]
@@ -80,8 +83,8 @@ def evaluate(series: Series, log: RunLog) -> Result:
         checks=(),
         latency_hops_ms=_hops(each, flying),
         at_limit=_at_limit(series, flying),
-        slack_m=_most(r.states.slack_m[rows] for r, rows in zip(each, flying, strict=True)),
-        board_loss=_most(r.states.board_loss[rows] for r, rows in zip(each, flying, strict=True)),
+        slack_m=_most(r.states.control(lambda c: c.slack_m)[rows] for r, rows in zip(each, flying, strict=True)),
+        board_loss=_most(r.states.board(lambda b: b.loss)[rows] for r, rows in zip(each, flying, strict=True)),
         messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
         cameras_out=_cameras_out(series, log),
         faults=faults([h for h in series.timeline_events if _in_flight(h, series)]),
@@ -130,13 +133,16 @@ def _robot(series: Series, robot: int) -> RobotResult:
     mine = series.robots[robot]
     states = mine.states
     window = _within(states.time_s, series)
-    tracking = window & states.tracking
-    yaw = wrap_angle(mine.truth_at_states[tracking, 3] - states.eta_command[tracking, 3])
+    command_rad = states.control(lambda c: c.eta_command)[:, 3]
+    tracking = window & states.tracking & np.isfinite(command_rad)
+    yaw = wrap_angle(mine.truth_at_states[tracking, 3] - command_rad[tracking])
     settled = states.time_s[tracking] >= SETTLED_S
-    unexplained = states.disturbance[tracking] - mine.disturbance_at_states[tracking]
-    missed = np.diff(states.missed_deadlines[window])
-    steps = states.wrench_step[tracking]
-    pulses = np.diff(states.pulse_us[tracking][:, : series.experiment.vehicle.thruster_count], axis=0)
+    unexplained = states.estimate(lambda e: e.disturbance)[tracking] - mine.disturbance_at_states[tracking]
+    missed = np.diff(states.timing(lambda t: t.missed_deadlines)[window])
+    steps = states.control(lambda c: c.wrench_step)[tracking]
+    pulses = np.diff(
+        states.of(lambda s: s.pulse_us, CHANNELS)[tracking][:, : series.experiment.vehicle.thruster_count], axis=0
+    )
     return RobotResult(
         **_fields(_errors(mine.error, series.time_s)),
         rms_yaw_command_rad=_rms(yaw),
@@ -163,7 +169,9 @@ def _end(log: RunLog, robot: int) -> RobotEnd:
     last, over_ns = states[-1], max(e[-1].arrived_ns for e in (states, truths, beats) if e)
     heard_s = (over_ns - last.arrived_ns) * 1e-9
     armed = last.message.mode not in UNARMED if heard_s <= topics.STATE.max_age_s else None
-    return RobotEnd(last.message.mode.name, round(heard_s, 6), armed, _three(true[0] if true else last.message.eta), out)
+    estimate = last.message.estimate
+    place = true[0] if true else estimate.eta if estimate is not None else None
+    return RobotEnd(last.message.mode.name, round(heard_s, 6), armed, _three(place) if place is not None else None, out)
 
 
 def _pair(series: Series, a: int, b: int) -> PairResult:
@@ -226,7 +234,8 @@ def _at_limit(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
 
 def _most(values: Iterable[Array]) -> float | None:
     all_values = np.concatenate(list(values))
-    return float(all_values.max()) if all_values.size else None
+    known_values = all_values[np.isfinite(all_values)]
+    return float(known_values.max()) if known_values.size else None
 
 
 # --- statistics; None for no values

@@ -4,7 +4,9 @@ Time 0 is the common start: the first instant at which every robot that flew was
 against the plant's truth, or in a real pool, which has none, against the localizer's poses.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,46 +17,80 @@ from groundstation.analysis.comparison import (
 from shoal.config.experiment import Experiment
 from shoal.config.vehicle import AXES
 from shoal.frames import Array, pose_error
-from shoal.messages.messages import Mode
+from shoal.messages.messages import BoardReading, Control, Estimate, Mode, RobotState, StepTiming
 
 CHANNELS = 8
 HOPS = ("localizer", "network, waiting", "control step", "to the board")  # of a pose, from the exposure to the PWM
 SLACK_M = 0.001  # less is the solver's own tolerance
 AT_LIMIT = 0.999  # of a bound: the solver stops that close to it
 Mask = NDArray[np.bool_]
+P = TypeVar("P")
+
+
+Numbers = float | Array | Sequence[int]
+
+
+def rows_of(parts: Sequence[P | None], value: Callable[[P], Numbers], empty: P, width: int) -> Array:
+    """A value of each part as rows (m,) or (m, k) of one width, at least `width`; NaN where there is no part, and behind
+    shorter ones. `empty` is such a part, which says what the value looks like."""
+    found = [None if part is None else np.asarray(value(part), dtype=np.float64) for part in parts]
+    shapes = [np.shape(value(empty)), *(row.shape for row in found if row is not None)]
+    if shapes[0] == ():
+        return np.array([np.nan if row is None else row for row in found], dtype=np.float64)
+    rows = np.full((len(found), max(width, *(shape[0] for shape in shapes))), np.nan)
+    for k, row in enumerate(found):
+        if row is not None:
+            rows[k, : len(row)] = row
+    return rows
 
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """A robot's own account, one row per recorded control step, m rows."""
+    """A robot's own account, one row per recorded control step, m rows.
+
+    Its columns have no names of their own: `states.control(lambda c: c.wrench)` is (m, 3). Rows in which the robot had no
+    such part are NaN.
+    """
 
     time_s: Array
-    mode: Array  # Mode as a number
-    guidance: Array  # Guidance as a number
+    messages: Sequence[RobotState]
     with_formation: Mask  # (m,) False while a person leads the robot elsewhere
-    faulty: Mask  # the robot reports a fault
-    trajectory_s: Array
-    eta: Array  # (m, 4) estimated
-    eta_reference: Array  # (m, 4)
-    eta_command: Array  # (m, 4)
-    disturbance: Array  # (m, 4) estimated
-    wrench: Array  # (m, 3), (m, 4) of a vehicle with side thrust
-    wrench_step: Array  # the same
-    wrench_wanted: Array  # the same, before it was limited
-    pulse_us: Array  # (m, 8), NaN where none was sent
-    echo_us: Array  # (m, 8), what the board said by then; NaN where it has not
-    exposure_to_pwm_ms: Array
-    step_us: Array
-    iterations: Array
-    missed_deadlines: Array  # cumulative
-    slack_m: Array  # by how much the plan enters the space of another robot
-    board_loss: Array  # fraction of the board's messages lost, last 5 s
     hops_ms: Array  # (m, len(HOPS)) from the exposure on; NaN where the log does not say
+
+    def of(self, value: Callable[[RobotState], Numbers], width: int = 0) -> Array:
+        """A value of the states themselves."""
+        return rows_of(self.messages, value, RobotState(), width)
+
+    def estimate(self, value: Callable[[Estimate], Numbers]) -> Array:
+        """A value of the estimates."""
+        return rows_of([m.estimate for m in self.messages], value, Estimate(), 0)
+
+    def control(self, value: Callable[[Control], Numbers]) -> Array:
+        """A value of the control steps' results."""
+        return rows_of([m.control for m in self.messages], value, Control(), 0)
+
+    def board(self, value: Callable[[BoardReading], Numbers], width: int = 0) -> Array:
+        """A value of the boards' telemetry."""
+        return rows_of([m.board for m in self.messages], value, BoardReading(), width)
+
+    def timing(self, value: Callable[[StepTiming], Numbers]) -> Array:
+        """A value of the steps' ages and times."""
+        return rows_of([m.timing for m in self.messages], value, StepTiming(), 0)
+
+    @property
+    def mode(self) -> Array:
+        """Mode as a number."""
+        return self.of(lambda s: s.mode)
+
+    @property
+    def faulty(self) -> Mask:
+        """The rows in which the robot reports a fault."""
+        return np.array([bool(m.fault) for m in self.messages], dtype=np.bool_)
 
     @property
     def tracking(self) -> Mask:
         """The rows under way on the formation's trajectory, (m,)."""
-        return np.asarray((self.mode == Mode.TRACKING) & (self.trajectory_s > 0.0) & self.with_formation)
+        return np.asarray((self.mode == Mode.TRACKING) & (self.of(lambda s: s.trajectory_s) > 0.0) & self.with_formation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +195,8 @@ def active_limits(series: Series, robot: RobotSeries) -> dict[str, Mask]:
     """Which limits held a robot's inputs back, (m,) each, by name; and where its plan entered another's space."""
     experiment, states = series.experiment, robot.states
     limits = {}
-    for k, axis in enumerate(AXES[: states.wrench.shape[1]]):
-        limits[axis] = np.asarray(np.abs(states.wrench[:, k]) >= AT_LIMIT * experiment.vehicle.limits.wrench[k])
-        limits[f"step of {axis}"] = np.asarray(np.abs(states.wrench_step[:, k]) >= AT_LIMIT * experiment.wrench_step[k])
-    return limits | {"others' space": np.asarray(states.slack_m > SLACK_M)}
+    wrench, change = states.control(lambda c: c.wrench), states.control(lambda c: c.wrench_step)
+    for k, axis in enumerate(AXES[: wrench.shape[1]]):
+        limits[axis] = np.asarray(np.abs(wrench[:, k]) >= AT_LIMIT * experiment.vehicle.limits.wrench[k])
+        limits[f"step of {axis}"] = np.asarray(np.abs(change[:, k]) >= AT_LIMIT * experiment.wrench_step[k])
+    return limits | {"others' space": np.asarray(states.control(lambda c: c.slack_m) > SLACK_M)}

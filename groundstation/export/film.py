@@ -24,7 +24,7 @@ from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.camera_coverage import project
 from shoal.messages.codec import DecodeError, decode
-from shoal.messages.messages import Mode, Picture, Preview, RobotState, StationHeartbeat, Video
+from shoal.messages.messages import Estimate, Mode, Picture, Preview, RobotState, StationHeartbeat, Video
 
 CLOCK_HZ = 90_000  # of the film's stamps
 NEVER_MS = 1e6  # age of a pose that never came: such a robot does not know where it is
@@ -97,7 +97,7 @@ class Overlay:
 
     def __init__(self, experiment: Experiment, camera: Camera) -> None:
         self._experiment, self._camera = experiment, camera
-        self._states: dict[int, RobotState] = {}
+        self._states: dict[int, tuple[RobotState, Estimate]] = {}
         self._trails: dict[int, deque[Array]] = {robot: deque(maxlen=TRAIL) for robot in experiment.robot_ids}
         self._began_ns, self._mission = 0, ""
 
@@ -105,9 +105,9 @@ class Overlay:
         """Take in what a robot or the station said."""
         if isinstance(message, StationHeartbeat):
             self._began_ns, self._mission = message.began_ns or self._began_ns, message.mission
-        elif robot in self._trails and message.pose_age_ms < NEVER_MS:
-            self._states[robot] = message
-            self._trails[robot].append(message.eta[:3])
+        elif robot in self._trails and message.estimate is not None and message.timing.pose_age_ms < NEVER_MS:
+            self._states[robot] = message, message.estimate
+            self._trails[robot].append(message.estimate.eta[:3])
 
     def draw(self, picture: Image.Image, stamp_ns: int) -> Image.Image:
         """The picture with the robots' estimates, references and trails, and the time."""
@@ -123,17 +123,17 @@ class Overlay:
         def write(at: tuple[float, float], text: str, colour: str) -> None:
             pen.text(at, text, fill=colour, font=font, stroke_width=2, stroke_fill="black")
 
-        for place, (robot, state) in enumerate(sorted(self._states.items())):
+        for place, (robot, (state, estimate)) in enumerate(sorted(self._states.items(), key=lambda item: item[0])):
             colour = colour_of(place)
-            x, y, z, yaw = state.eta
+            x, y, z, yaw = estimate.eta
             if len(self._trails[robot]) > 1:
                 line(np.array(self._trails[robot]), colour, 2)
             radius_m = self._experiment.vehicle.radius_m
             line(np.column_stack([np.array([x, y]) + radius_m * RING, np.full(len(RING), z)]), colour, 3)
             nose = np.array([[x, y, z], [x + 1.5 * radius_m * np.cos(yaw), y + 1.5 * radius_m * np.sin(yaw), z]])
             line(nose, colour, 3)
-            if state.mode in FLIES:
-                at = state.eta_reference[:3]
+            if state.mode in FLIES and state.control is not None:
+                at = state.control.eta_reference[:3]
                 for arm in (np.array([0.06, 0.0, 0.0]), np.array([0.0, 0.06, 0.0])):
                     line(np.array([at - arm, at + arm]), "white", 2)
             name = project(self._camera, np.array([[x + 1.3 * radius_m, y, z]]))[0] * scale

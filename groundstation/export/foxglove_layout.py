@@ -41,9 +41,12 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
         "Plot!error": _plot("distance from the reference [m]", _each(experiment, fleet, topics.PLAN, ".tracking_error_m")),
         "Plot!wrench": _plot(
             "surge [N], yaw [N m]",
-            [*_each(experiment, fleet, topics.STATE, ".wrench[0]"), *_each(experiment, fleet, topics.STATE, ".wrench[2]")],
+            [
+                *_each(experiment, fleet, topics.STATE, ".control.wrench[0]"),
+                *_each(experiment, fleet, topics.STATE, ".control.wrench[2]"),
+            ],
         ),
-        "Plot!timing": _plot("exposure to PWM [ms]", _each(experiment, fleet, topics.STATE, ".exposure_to_pwm_ms")),
+        "Plot!timing": _plot("exposure to PWM [ms]", _each(experiment, fleet, topics.STATE, ".timing.exposure_to_pwm_ms")),
         "StateTransitions!mode": {
             "paths": [
                 {

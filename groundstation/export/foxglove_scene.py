@@ -67,14 +67,15 @@ class SceneDrawer:
         scene, fresh_ns = SceneUpdate(), stamp_ns - GONE_NS
         for index, robot in enumerate(self._experiment.robot_ids):
             state, plan = self._states.get(robot), self._plans.get(robot)
-            if state is not None and state[0] >= fresh_ns:
+            estimate = state[1].estimate if state is not None and state[0] >= fresh_ns else None
+            if state is not None and estimate is not None:
                 entity = _entity(scene, f"robot {robot}", stamp_ns)
-                _hull(entity, state[1].eta, self._experiment.vehicle.radius_m, _colour(colour(index), FULL))
+                _hull(entity, estimate.eta, self._experiment.vehicle.radius_m, _colour(colour(index), FULL))
                 entity.texts.add(
                     text=f"{robot} {state[1].mode.name.lower()}", billboard=True, font_size=14.0, scale_invariant=True
                 )
                 above = np.array([0.0, 0.0, -1.6 * self._experiment.vehicle.radius_m, 0.0])
-                _place(entity.texts[0], state[1].eta + above)
+                _place(entity.texts[0], estimate.eta + above)
                 entity.texts[0].color.CopyFrom(_colour(colour(index), FULL))
             if plan is not None and plan[0] >= fresh_ns:
                 _line(_entity(scene, f"plan {robot}", stamp_ns), plan[1].eta[:, :3], _colour(colour(index), FULL), 4.0)

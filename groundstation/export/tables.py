@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from typing import IO, Any, Protocol, get_args, get_origin, get_type_hints
+from typing import IO, Any, Protocol, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,57 +28,14 @@ from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import DecodeError, decode
+from shoal.messages.labels import labels
+from shoal.messages.schema import nested_message
 from shoal.messages.topics import Topic
 from shoal.runtime.output_files import RUN, check_output, replacing_together
 
 NOTHING = np.zeros(0)
 AT_ONCE = 5_000  # rows that are kept until they are written: a few MB
 
-POSE = ("x_m", "y_m", "z_m", "yaw_rad")  # pool frame
-VELOCITY = ("surge_mps", "sway_mps", "heave_mps", "yaw_radps")  # body frame
-ACCELERATION = ("surge_mps2", "sway_mps2", "heave_mps2", "yaw_radps2")  # body frame
-WRENCH = ("surge_n", "heave_n", "yaw_nm", "sway_n")  # the last one of vehicles with side thrust alone
-CHANNELS = (*(f"thruster_{k}_us" for k in range(1, 5)), *(f"ankle_{k}_us" for k in range(1, 5)))  # or thrusters 5 to 8
-
-
-def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(prefix + name for name in names)
-
-
-# What the entries of arrays and of lists of a fixed length are called. A matrix is told row by row.
-NAMES: dict[tuple[type, str], tuple[str, ...]] = {
-    (messages.Truth, "eta"): POSE,
-    (messages.Truth, "nu"): VELOCITY,
-    (messages.Truth, "wrench"): WRENCH,
-    (messages.Truth, "disturbance"): _named("disturbance_", ACCELERATION),
-    (messages.Pose, "covariance"): tuple(
-        f"covariance_{a}_{b}_{unit}"
-        for a, row in (("x", ("m2", "m2", "m_rad")), ("y", ("m2", "m2", "m_rad")), ("yaw", ("m_rad", "m_rad", "rad2")))
-        for b, unit in zip(("x", "y", "yaw"), row, strict=True)
-    ),
-    (messages.Plan, "eta"): POSE,
-    (messages.Plan, "eta_reference"): _named("reference_", POSE),
-    (messages.RobotState, "eta"): POSE,
-    (messages.RobotState, "nu"): VELOCITY,
-    (messages.RobotState, "disturbance"): _named("disturbance_", ACCELERATION),
-    (messages.RobotState, "eta_reference"): _named("reference_", POSE),
-    (messages.RobotState, "eta_command"): _named("command_", POSE),
-    (messages.RobotState, "wrench"): WRENCH,
-    (messages.RobotState, "wrench_step"): _named("step_", WRENCH),
-    (messages.RobotState, "wrench_wanted"): _named("wanted_", WRENCH),
-    (messages.RobotState, "wrench_delivered"): _named("delivered_", WRENCH),
-    (messages.RobotState, "pulse_us"): _named("pulse_", CHANNELS),
-    (messages.RobotState, "echo_us"): _named("echo_", CHANNELS),
-    (messages.Trajectory, "eta"): POSE,
-    (messages.Trajectory, "velocity"): ("x_mps", "y_mps", "z_mps", "yaw_radps"),  # pool frame
-    (messages.Trajectory, "acceleration"): ("x_mps2", "y_mps2", "z_mps2", "yaw_radps2"),  # pool frame
-    (messages.Obstacles, "outline"): tuple(f"corner_{k}_{axis}_m" for k in range(1, 13) for axis in "xy"),
-    (messages.Obstacles, "velocity"): ("x_mps", "y_mps"),  # pool frame
-    (messages.Obstacles, "unseen_s"): ("unseen_s",),
-    (messages.Tuning, "values"): ("value",),
-    (messages.BoardReading, "acceleration_mps2"): _named("acceleration_", ACCELERATION[:3]),
-    (messages.BoardReading, "echo_us"): _named("echo_", CHANNELS),
-}
 # Messages that are lists: what a row's own column is called, and the field that fills it; "": rows are numbered from 0.
 LISTS: dict[type, tuple[str, str]] = {
     messages.Truth: ("robot", "robots"),
@@ -234,7 +191,8 @@ def rows(message: Any) -> int:
 
 def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: bool) -> list[TableColumn]:
     """The columns of one field."""
-    names = NAMES.get((cls, name))
+    label = labels(cls).get(name)
+    names = label.columns if label is not None and label.parts else None
     if shape is not None and -1 in shape and not listed:  # a list within a message
         if cls is messages.Trajectory:  # it has a table of its own
             return [TableColumn(f"{prefix}{name}_samples", int, lambda m, row: len(getattr(m, name)))]
@@ -248,7 +206,7 @@ def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: 
         return [TableColumn(prefix + names[k], int, _entry(name, k)) for k in range(len(names))]
     if get_origin(hint) is tuple:
         return [TableColumn(prefix + name, str, _text(name))]
-    nested = next((part for part in get_args(hint) if isinstance(part, type) and dataclasses.is_dataclass(part)), None)
+    nested = nested_message(hint)
     if nested is not None:
         return [TableColumn(c.name, c.kind, _within(name, c)) for c in columns(nested, f"{prefix}{name}.")]
     if isinstance(hint, type) and issubclass(hint, IntEnum):

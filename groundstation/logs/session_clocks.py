@@ -22,7 +22,7 @@ _Clock = tuple[int, bool]  # session, and whether of the lines of its log: a loc
 def held_ns(topic: Topic, message: object) -> int | None:
     """Age of a message when it was published; None if it does not say so. The log has no ages."""
     if isinstance(message, RobotState):
-        return round(message.step_us * 1e3)
+        return round(message.timing.step_us * 1e3)
     if isinstance(message, LocalizerStatus):
         return round(message.frame_age_ms * 1e6)
     return None if topic.qos is Qos.IMAGE or topic.type in (*_UNKNOWN, RobotState, LocalizerStatus) else 0

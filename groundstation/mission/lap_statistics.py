@@ -62,7 +62,7 @@ class LapStatistics:
                 step_s = min(step_s, 0.0)
             self._last_s[robot] = state.trajectory_s
             key = (int(state.trajectory_s // self._lap_s) + 1 if self._lap_s else 0, state.tuning_id)
-            self._rows.setdefault(key, _Row()).add(robot, step_s, math.dist(state.eta[:3], state.eta_reference[:3]))
+            self._rows.setdefault(key, _Row()).add(robot, step_s, state.error_m or 0.0)
         self._flew = frozenset(flying)
         while len(self._rows) > KEPT:
             del self._rows[next(iter(self._rows))]

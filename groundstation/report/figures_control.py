@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.analysis.series import RobotSeries, Series
+from groundstation.analysis.series import CHANNELS, RobotSeries, Series
 from groundstation.palette import colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from shoal.frames import Array
+from shoal.messages.labels import ACCELERATION, WRENCH
 
 MOST_PULSE_PANELS = 6
 
@@ -16,14 +17,15 @@ MOST_PULSE_PANELS = 6
 def inputs(series: Series) -> TimePlot:
     """Inputs that the controllers commanded; for a law without limits, dotted the input before saturation."""
     bounds = series.experiment.vehicle.limits.wrench
-    unlimited = None if series.experiment.controller.law in ("nmpc", "eso-mpc-article") else lambda r: r.states.wrench_wanted
-    return _wrench(series, lambda r: r.states.wrench, bounds, "", unlimited)
+    limited = series.experiment.controller.law in ("nmpc", "eso-mpc-article")
+    unlimited = None if limited else lambda r: r.states.control(lambda c: c.wrench_wanted)
+    return _wrench(series, lambda r: r.states.control(lambda c: c.wrench), bounds, "", unlimited)
 
 
 def input_steps(series: Series) -> TimePlot:
     """Change of the input in each control step: chatter is wear."""
     bounds = series.experiment.wrench_step
-    return _wrench(series, lambda r: r.states.wrench_step, bounds, "step of ")
+    return _wrench(series, lambda r: r.states.control(lambda c: c.wrench_step), bounds, "step of ")
 
 
 def _wrench(
@@ -51,7 +53,7 @@ def _wrench(
             limit=bounds[axis],
             unit=unit,
         )
-        for axis, (name, unit) in enumerate((("surge", "N"), ("heave", "N"), ("yaw", "N m"), ("sway", "N"))[: len(bounds)])
+        for axis, (_, name, unit) in enumerate(WRENCH[: len(bounds)])
     ]
     return TimePlot(panels)
 
@@ -69,29 +71,28 @@ def pulses(series: Series) -> TimePlot:
     dead = curve[curve[:, 1] == 0.0, 0]
     vehicle = series.experiment.vehicle
     names = [vehicle.thruster_name(k) for k in range(vehicle.thruster_count)]
-    panels = [
-        Panel(
-            f"robot {robot} [µs]",
-            [
-                *(flown(series, r, f"{names[k]}, echo", r.states.echo_us[:, k], k, ":") for k in range(len(names))),
-                *(flown(series, r, names[k], r.states.pulse_us[:, k], k) for k in range(len(names))),
-            ],
-            least=100.0,
-            band=(float(dead.min()), float(dead.max())),
-        )
-        for robot, r in list(series.robots.items())[:MOST_PULSE_PANELS]
-    ]
-    return TimePlot(panels)
+
+    def lines(r: RobotSeries) -> list[Curve]:
+        echo_us = r.states.board(lambda b: b.echo_us, CHANNELS)
+        pulse_us = r.states.of(lambda s: s.pulse_us, CHANNELS)
+        return [
+            *(flown(series, r, f"{name}, echo", echo_us[:, k], k, ":") for k, name in enumerate(names)),
+            *(flown(series, r, name, pulse_us[:, k], k) for k, name in enumerate(names)),
+        ]
+
+    band = (float(dead.min()), float(dead.max()))
+    shown = list(series.robots.items())[:MOST_PULSE_PANELS]
+    return TimePlot([Panel(f"robot {robot} [µs]", lines(r), least=100.0, band=band) for robot, r in shown])
 
 
 def disturbance(series: Series) -> TimePlot:
     """Estimated disturbance against the true one."""
     panels = []
-    for axis, (name, unit) in enumerate((("surge", "m/s²"), ("sway", "m/s²"), ("heave", "m/s²"), ("yaw", "rad/s²"))):
+    for axis, (_, name, unit) in enumerate(ACCELERATION):
         lines = []
         for i, (robot, r) in enumerate(series.robots.items()):
             lines.append(flown(series, r, f"robot {robot}, true", r.disturbance_at_states[:, axis], i, ":"))
-            lines.append(flown(series, r, f"robot {robot}, estimated", r.states.disturbance[:, axis], i))
+            lines.append(flown(series, r, f"robot {robot}, estimated", r.states.estimate(lambda e: e.disturbance)[:, axis], i))
         panels.append(Panel(f"{name} [{unit}]", [line for line in lines if np.isfinite(line.values).any()]))
     return TimePlot(panels, height_in=1.2)
 
@@ -100,7 +101,8 @@ def step_times(series: Series) -> TimePlot:
     """Duration of the control steps on the robot."""
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
-        lines.append(flown(series, r, f"robot {robot}", np.where(r.states.step_us > 0.0, r.states.step_us, np.nan), i))
+        step_us = r.states.timing(lambda t: t.step_us)
+        lines.append(flown(series, r, f"robot {robot}", np.where(step_us > 0.0, step_us, np.nan), i))
     budget_us = 0.5e6 * series.experiment.controller.period_s
     return _dots("control step [µs]", lines, budget_us, "µs, half a period")
 
@@ -109,8 +111,8 @@ def latency(series: Series) -> TimePlot:
     """Time from the middle of an exposure to the PWM that answers it."""
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
-        latency_ms = np.where(r.states.exposure_to_pwm_ms > 0.0, r.states.exposure_to_pwm_ms, np.nan)
-        lines.append(flown(series, r, f"robot {robot}", latency_ms, i))
+        latency_ms = r.states.timing(lambda t: t.exposure_to_pwm_ms)
+        lines.append(flown(series, r, f"robot {robot}", np.where(latency_ms > 0.0, latency_ms, np.nan), i))
     limit = series.experiment.limits.exposure_to_pwm_p99_ms
     return _dots("exposure to PWM [ms]", lines, limit, "ms for p99")
 

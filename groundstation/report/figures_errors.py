@@ -49,7 +49,7 @@ def yaw(series: Series) -> TimePlot:
     tangent, commanded = [], []
     for i, (robot, r) in enumerate(series.robots.items()):
         tangent.append(Curve(f"robot {robot}", series.time_s, np.degrees(r.error[:, 3]), colour(i)))
-        error = wrap_angle(r.truth_at_states[:, 3] - r.states.eta_command[:, 3])
+        error = wrap_angle(r.truth_at_states[:, 3] - r.states.control(lambda c: c.eta_command)[:, 3])
         commanded.append(flown(series, r, f"robot {robot}", np.degrees(error), i))
     panels = [Panel("to tangent [deg]", tangent, LEAST_DEG), Panel("to command [deg]", commanded, LEAST_DEG)]
     return TimePlot(panels, mark_s=SETTLED_S)

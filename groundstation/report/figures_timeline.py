@@ -36,7 +36,7 @@ def timeline(series: Series) -> BarPlot | None:
             Bar(from_s, length_s, tone, guidance.name.lower().replace("_", " "))
             for guidance, tone in ALONG_PATH.items()
             for from_s, length_s in spans_of(
-                states.time_s, np.asarray((states.mode == Mode.TRACKING) & (states.guidance == guidance))
+                states.time_s, np.asarray((states.mode == Mode.TRACKING) & (states.of(lambda s: s.guidance) == guidance))
             )
         ]
         rows.append((f"robot {robot}", bars))
@@ -66,14 +66,14 @@ def limits(series: Series) -> BarPlot | None:
 def slack(series: Series) -> TimePlot:
     """Distance by which plans entered the space of others."""
     each = enumerate(series.robots.items())
-    lines = [_shown(series, r, f"robot {robot}", 1e3 * r.states.slack_m, i) for i, (robot, r) in each]
+    lines = [_shown(series, r, f"robot {robot}", 1e3 * r.states.control(lambda c: c.slack_m), i) for i, (robot, r) in each]
     return TimePlot([Panel("slack [mm]", lines, least=1.0)])
 
 
 def links(series: Series) -> TimePlot:
     """Share of the boards' messages that was lost."""
     each = enumerate(series.robots.items())
-    lines = [_shown(series, r, f"robot {robot}", 100.0 * r.states.board_loss, i) for i, (robot, r) in each]
+    lines = [_shown(series, r, f"robot {robot}", 100.0 * r.states.board(lambda b: b.loss), i) for i, (robot, r) in each]
     return TimePlot([Panel("lost within 5 s [%]", lines, least=1.0)])
 
 

@@ -138,5 +138,6 @@ def _lines(runs: Sequence[ComparedRun], whose: tuple[int, ...]) -> list[Curve]:
 
 def _surge(runs: Sequence[ComparedRun], robot: int) -> Panel:
     states_of_runs = [(i, run, run.series.robots[robot].states) for i, run in enumerate(runs) if robot in run.series.robots]
-    lines = [Curve(run.name, states.time_s, states.wrench[:, 0], colour(i)) for i, run, states in states_of_runs]
+    surge_of_runs = [(i, run, states, states.control(lambda c: c.wrench)[:, 0]) for i, run, states in states_of_runs]
+    lines = [Curve(run.name, states.time_s, surge, colour(i)) for i, run, states, surge in surge_of_runs]
     return Panel(f"robot {robot} [N]", lines, least=0.1)

@@ -144,7 +144,8 @@ class Station:
                 future.result()
         stopped = self.mission.state is MissionState.STOPPED
         pace = self.mission.governor
-        planned = tuple(robot for robot, view in self.views.items() if view.state is not None and view.state.planned)
+        states = {robot: view.state for robot, view in self.views.items()}
+        planned = tuple(robot for robot, state in states.items() if state is not None and state.estimate is not None)
         state = self.mission.state.name
         out = tuple(sorted(self.mission.roster.out))
         beat = StationHeartbeat(

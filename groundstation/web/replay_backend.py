@@ -206,7 +206,7 @@ class LogPlayer:
             window = [*zip(headers[:k], arrivals[:k], strict=True), *window]
         for header, arrived in window[-LINK_WINDOW:]:
             arrived_ns = arrived + self.start_ns  # in lockstep the stamp itself
-            held_ns = round(newest[1].step_us * 1e3) if arrived_ns != header.stamp_ns else 0
+            held_ns = round(newest[1].timing.step_us * 1e3) if arrived_ns != header.stamp_ns else 0
             link.add((header,), header, arrived_ns - held_ns)
         return link
 
@@ -388,7 +388,8 @@ class ReplayBackend:
             return []
         then_ns = max(now_ns - self._log.flown_ns + self._against.flown_ns, 0)
         states = ((r, self._against.newest(topics.STATE, RobotState, then_ns, r)) for r in self._against.experiment.robot_ids)
-        return [{"id": r, "eta": floats(state[1].eta)} for r, state in states if state is not None]
+        estimates = ((r, state[1].estimate) for r, state in states if state is not None)
+        return [{"id": r, "eta": floats(estimate.eta)} for r, estimate in estimates if estimate is not None]
 
     def picture(self, camera: str, shown_ns: int) -> ShownPicture | None:
         """The picture of a camera at that time, if it is not the one that arrived at `shown_ns`."""

@@ -15,8 +15,9 @@ from shoal.config.scene import Circle, FormationConfig, Island, PoolConfig, Robo
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.camera_coverage import project
+from shoal.messages.labels import plotted
 from shoal.messages.live_gains import tunable_parameters
-from shoal.messages.messages import Trajectory
+from shoal.messages.messages import RobotState, Trajectory
 
 MOST_POINTS = 1500  # of a path: 0.08 s apart for the pool scene, less than a pixel
 CELLS = 16  # of the picture's mesh, along the longer side: straight edges are then within 1 mm of the lens's curves
@@ -85,6 +86,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "path": experiment.path.model_dump(mode="json"),
         "formation": experiment.formation.model_dump(mode="json"),
         "hints": _hints(),
+        "fields": [{"path": path, "title": title, "unit": unit} for path, title, unit in plotted(RobotState)],
         "knobs": [
             {"key": k.key, "value": k.value, "least": k.least, "most": k.most, "above": k.above, "below": k.below}
             for k in tunable_parameters(controller)

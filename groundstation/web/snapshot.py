@@ -5,8 +5,10 @@ parsing, and arrays are bytes that the browser views as they are. Ages are in ms
 what has gone by since it arrived, by its own clock.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -18,8 +20,12 @@ from groundstation.telemetry import Finding
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
 from shoal.frames import Array
-from shoal.messages.messages import Event, LocalizerStatus, Obstacles, Outcome, Plan, Pose, RobotState
+from shoal.messages.messages import Event, Outcome, Plan
 
+OFF_PAGE = frozenset(  # fields that no panel shows
+    {"experiment_hash", "code", "unseen_s", "marks_seen", "thruster_test", "blind", "board_ms", "arrival_ns", "charge"}
+    | {"battery_reports", "heartbeats", "autopilot", "power_on_depth_m"}
+)
 NEVER_MS = 1e9  # finite stand-in for the age of what was never heard
 
 
@@ -81,8 +87,8 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "stop": news.emergency_stop,
         "alarms": [{"level": a.level, "key": a.key, "robot": a.robot, "text": a.text} for a in news.alarms],
         "present": list(news.present),
-        "localizer": _localizer(news.localizer),
-        "obstacles": _obstacles(news.obstacles),
+        "localizer": _aged(news.localizer),
+        "obstacles": _aged(news.obstacles),
         "tuning": _tuning(news.tuning, news.laps),
         "requests": [_request(outcome) for outcome in news.requests],
         "ended": news.ended,
@@ -104,7 +110,7 @@ def past_row(view: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "time_s": view["time_s"],
         "robots": robots,
-        "localizer": None if localizer is None else {key: localizer[key] for key in ("age_ms", "to_pose_ms")},
+        "localizer": None if localizer is None else {key: localizer[key] for key in ("age_ms", "frame_age_ms")},
     }
 
 
@@ -127,66 +133,35 @@ def _request(outcome: Outcome) -> dict[str, Any]:
 def _robot(robot: int, news: RobotSnapshot) -> dict[str, Any]:
     fields: dict[str, Any] = {"id": robot, "age_ms": news.state.age_ms}
     if news.state.message is not None:
-        fields["state"] = _state(news.state.message)
-    if news.pose.message is not None:
-        fields["pose"] = _pose(news.pose.message, news.pose.age_ms)
+        fields["state"] = page_form(news.state.message)
+    pose = _aged(news.pose)
+    if pose is not None:
+        fields["pose"] = pose | {"ellipse": ellipse(news.pose.message.covariance)}
     plan: Plan | None = news.plan.message
     if plan is not None:
         fields["plan"] = {"age_ms": news.plan.age_ms, "period_s": plan.period_s, "xyz": floats(plan.eta[:, :3])}
     return fields
 
 
-def _state(state: RobotState) -> dict[str, Any]:
-    """One robot's state for the page."""
-    return {
-        "mode": state.mode.name,
-        "fault": state.fault,
-        "guidance": state.guidance.name,
-        "tuning": state.tuning_id,
-        "t_s": state.trajectory_s,
-        "loaded": state.trajectory_id,
-        "eta": floats(state.eta),
-        "nu": floats(state.nu),
-        "disturbance": floats(state.disturbance),
-        "drag_ratio": state.drag_ratio,
-        "thrust_ratio": state.thrust_ratio,
-        "reference": floats(state.eta_reference),
-        "command": floats(state.eta_command),
-        "wrench": floats(state.wrench),
-        "delivered": floats(state.wrench_delivered),
-        "pulse_us": list(state.pulse_us),
-        "echo_us": list(state.echo_us),
-        "track": state.track.name,
-        "pose_age_ms": state.pose_age_ms,
-        "to_pwm_ms": state.exposure_to_pwm_ms,
-        "depth_m": state.depth_m,
-        "battery_v": state.battery_v,
-        "armed": state.board_armed,
-        "board_age_ms": state.board_age_ms,
-        "loss": state.board_loss,
-        "round_trip_ms": state.board_round_trip_ms,
-        "solve": state.solve.name,
-        "iterations": state.iterations,
-        "step_us": state.step_us,
-        "missed": state.missed_deadlines,
-        "slack_m": state.slack_m,
-        "heard": list(state.heard),
-    }
+def page_form(message: Any) -> dict[str, Any]:
+    """A message for the page, field by field under its own names: arrays as float32, choices by name, None for a part that it
+    lacks. src/messages.ts has the types."""
+    return {f.name: _page_value(getattr(message, f.name)) for f in dataclasses.fields(message) if f.name not in OFF_PAGE}
 
 
-def _pose(pose: Pose, age_ms: float) -> dict[str, Any]:
-    major_m, minor_m, angle_rad = ellipse(pose.covariance)
-    return {
-        "age_ms": age_ms,
-        "x_m": pose.x_m,
-        "y_m": pose.y_m,
-        "yaw_rad": pose.yaw_rad,
-        "ellipse": [major_m, minor_m, angle_rad],
-        "yaw_sigma_rad": float(np.sqrt(max(pose.covariance[2, 2], 0.0))),
-        "track": pose.track.name,
-        "verified": pose.identity_verified,
-        "peak": pose.peak,
-    }
+def _page_value(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return floats(value)
+    if isinstance(value, IntEnum):
+        return value.name
+    if dataclasses.is_dataclass(value):
+        return page_form(value)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _aged(news: AgedMessage) -> dict[str, Any] | None:
+    """A message with its age; None if there is none."""
+    return None if news.message is None else {"age_ms": news.age_ms} | page_form(news.message)
 
 
 def ellipse(covariance: Array) -> tuple[float, float, float]:
@@ -195,30 +170,6 @@ def ellipse(covariance: Array) -> tuple[float, float, float]:
     mean, spread = 0.5 * (xx + yy), float(np.hypot(0.5 * (xx - yy), xy))
     angle = 0.5 * float(np.arctan2(2.0 * xy, xx - yy))
     return float(np.sqrt(max(mean + spread, 0.0))), float(np.sqrt(max(mean - spread, 0.0))), angle
-
-
-def _localizer(news: AgedMessage) -> dict[str, Any] | None:
-    status: LocalizerStatus | None = news.message
-    if status is None:
-        return None
-    return {
-        "age_ms": news.age_ms,
-        "camera": status.camera.name,
-        "frames": status.frames,
-        "dropped": status.dropped,
-        "frame_ms": status.frame_ms,
-        "to_pose_ms": status.frame_age_ms,
-        "message": status.message,
-        "out": list(status.out),
-    }
-
-
-def _obstacles(news: AgedMessage) -> dict[str, Any] | None:
-    obstacles: Obstacles | None = news.message
-    if obstacles is None:
-        return None
-    outline, velocity = floats(obstacles.outline), floats(obstacles.velocity)
-    return {"age_ms": news.age_ms, "ids": list(obstacles.ids), "outline": outline, "velocity": velocity}
 
 
 def _tuning(tuning: GainStatus | None, laps: Sequence[Lap]) -> dict[str, Any] | None:

@@ -28,7 +28,7 @@ from localizer.setup.lens_step import LensStep
 from localizer.setup.picture_figures import PictureFigures, PictureJudge, rate_verdict
 from localizer.setup.survey_step import SurveyStep, outline_corners, outline_px
 from localizer.sources.base import CapturedFrame
-from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, EXPOSURES, CameraControls, Control
+from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, EXPOSURES, CameraControl, CameraControls
 from shoal.config.experiment import Experiment
 from shoal.config.perception import Camera
 from shoal.errors import ConfigError
@@ -73,7 +73,7 @@ class SetupSession:
         self._collecting = False
         self._grid_depth_m: float | None = None
         self._set: dict[str, int] = {}  # controls that were set here
-        self._controls_now: tuple[tuple[Control, ...], str] = (), ""
+        self._controls_now: tuple[tuple[CameraControl, ...], str] = (), ""
         self._asked_s = -math.inf  # when the camera was asked for its controls
         self._next_mask = 1 + len(self._work.masks)
         self._note = ""
@@ -229,7 +229,7 @@ class SetupSession:
         depth_m = arguments.get("depth_m")
         self._grid_depth_m = None if depth_m is None else float(np.clip(float(depth_m), -1.0, 20.0))
 
-    def _offered(self) -> tuple[tuple[Control, ...], str]:
+    def _offered(self) -> tuple[tuple[CameraControl, ...], str]:
         """The camera's controls, and the reason if there are none; asked for now and then, as that opens the device."""
         if self._controls is None:
             return (), "this source offers no controls"

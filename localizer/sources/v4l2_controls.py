@@ -16,7 +16,7 @@ EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts in 100 us
 
 
 @dataclass(frozen=True)
-class Control:
+class CameraControl:
     """One control. `choices` names the values of a menu; `usable` is False while another control rules it, as automatic
     exposure does the exposure."""
 
@@ -45,7 +45,7 @@ class Control:
 class CameraControls(Protocol):
     """The controls of one camera."""
 
-    def offered(self) -> tuple[Control, ...]:
+    def offered(self) -> tuple[CameraControl, ...]:
         """All that can be set, with the present values. Raises ConfigError when the camera cannot be asked."""
 
     def set(self, name: str, value: int) -> None:
@@ -58,7 +58,7 @@ class V4l2Controls:
     def __init__(self, device: str) -> None:
         self._device = device
 
-    def offered(self) -> tuple[Control, ...]:
+    def offered(self) -> tuple[CameraControl, ...]:
         """See CameraControls."""
         with self._opened() as camera:
             return tuple(_control(control) for control in camera.controls.values() if _is_number(control))
@@ -102,10 +102,10 @@ def _is_number(control: Any) -> bool:
     return control.type.name in kinds and not any(getattr(control, flag) for flag in flags)
 
 
-def _control(control: Any) -> Control:
+def _control(control: Any) -> CameraControl:
     info = control._info  # linuxpy hides a switch's default and range
     choices = tuple((int(k), str(v)) for k, v in control.data.items()) if hasattr(control, "data") else ()
-    return Control(
+    return CameraControl(
         control.config_name, int(control.value), info.minimum, info.maximum, max(info.step, 1), info.default_value, choices,
         usable=not control.is_flagged_inactive,
     )  # fmt: skip

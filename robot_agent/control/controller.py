@@ -34,107 +34,48 @@ from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate
 from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.estimate import Deviations, Estimate, StateMeasurement
+from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
 from shoal.config.controller import ControllerConfig, Safety
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
-from shoal.kernels.decorator import kernel
-from shoal.messages.messages import Solve
+from shoal.messages.messages import Control, Estimate, Solve, is_finite
 
 NS = 1_000_000_000
 KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step
 TURN = 2.0 * np.pi
 
 
-@kernel("b1(UniTuple(f8[::1], 9), f8[:,::1], f8[:,::1])")
-def all_finite(vectors: tuple[Array, ...], plan: Array, plan_reference: Array) -> bool:
-    """True if every number of some vectors and of two tables is finite."""
-    finite = True
-    for vector in vectors:
-        for value in vector:
-            finite &= math.isfinite(value)
-    for k in range(len(plan)):
-        for c in range(plan.shape[1]):
-            finite &= math.isfinite(plan[k, c]) & math.isfinite(plan_reference[k, c])
-    return finite
-
-
 class ControlOutput(NamedTuple):
     """Results of one control step. Its arrays belong to the caller: they are never written again."""
 
-    pulse_us: tuple[int, ...]  # 4 thrusters, 4 ankles; neutral unless `solve` is SOLVED or SHIFTED
-    wrench: Array  # (3,) or (4,) asked for: surge N, heave N, yaw N m, sway N
-    wrench_step: Array  # its change in this step
-    wrench_wanted: Array  # what the law came to before it was limited; the MPC knows its limits
-    wrench_delivered: Array  # what the pulses give by the nominal thrust curve
-    estimated: bool  # False until the first pose, and after coasting too long: eta, nu, disturbance mean nothing
-    eta: Array  # (4,) estimated pose now
-    nu: Array  # (4,) estimated velocity now, body frame
-    disturbance: Array  # (4,) estimated acceleration that the nominal model in still water does not explain, body frame
-    drag_ratio: float  # drag per mass over the vehicle's, as learned; 0 if it is not
-    thrust_ratio: float  # the same of thrust per mass
-    eta_reference: Array  # (4,) the goal now: yaw is the path's tangent
-    eta_command: Array  # (4,) what the controller was given: yaw with crab angle and correction
-    plan_eta: Array  # (horizon + 1, 4) predicted poses at now + s * period_s; node 0 is `eta`
+    pulse_us: tuple[int, ...]  # 4 thrusters, 4 ankles; neutral unless the step was solved
+    observation: Observation | None  # None until the first pose, and after coasting too long
+    control: Control | None  # None while the thrusters are at neutral because there is no goal
+    plan_eta: Array  # (horizon + 1, 4) predicted poses at now + s * period_s; node 0 is the estimate
     plan_reference: Array  # (horizon + 1, 4) the path that is meant to be flown, at the same instants, with the heading asked
-    tracking_error_m: float  # distance from the goal's position
-    solve: Solve
-    iterations: int
-    slack_m: float  # by how much the plan enters the space of another robot
-    pose_age_s: float  # of the pose the estimate rests on
-    depth_age_s: float  # of the last depth that did not contradict the estimate; 0 while there is no estimate
-    leap: str  # what was told and what had been believed, in a step that gave up the estimate's place for another one
-    depth_leap: str  # the same for the depth
-    is_free: bool  # the robot follows its path: neither giving way nor half-spaces change its plan
-    path_is_blocked: bool  # it avoids what it would meet on its path too
+    tracking_error_m: float = 0.0  # distance from the goal's position
+    is_free: bool = False  # the robot follows its path: neither giving way nor half-spaces change its plan
+    path_is_blocked: bool = False  # it avoids what it would meet on its path too
     flow_moment_nm: float = 0.0  # yaw moment of the water past the hull, (m_u - m_v) u v
     avoids: bool = False  # something is in its way; False on the way back to its path
-    current: complex = 0j  # x + iy of the water's own velocity in the pool, m/s
-    deviations: Deviations | None = None  # standard deviations of the estimate; None if they are not known
 
-    @classmethod
-    def neutral(cls, pulse_us: tuple[int, ...], wrench_step: Array, estimate: Estimate | None, stay: Array) -> "ControlOutput":
-        """Output with thrusters off; `stay` (rows, 4) is where neighbours are told that the robot will be."""
-        eta = np.zeros(4) if estimate is None else estimate.eta
-        return cls(
-            pulse_us=pulse_us,
-            wrench=np.zeros_like(wrench_step),
-            wrench_step=wrench_step,
-            wrench_wanted=np.zeros_like(wrench_step),
-            wrench_delivered=np.zeros_like(wrench_step),
-            estimated=estimate is not None,
-            eta=eta,
-            nu=np.zeros(4) if estimate is None else estimate.nu,
-            disturbance=np.zeros(4) if estimate is None else estimate.gamma_still_water,
-            drag_ratio=0.0 if estimate is None else estimate.drag_ratio,
-            thrust_ratio=0.0 if estimate is None else estimate.thrust_ratio,
-            eta_reference=eta,
-            eta_command=eta,
-            plan_eta=stay,
-            plan_reference=stay,
-            tracking_error_m=0.0,
-            solve=Solve.NONE,
-            iterations=0,
-            slack_m=0.0,
-            pose_age_s=math.inf if estimate is None else estimate.pose_age_s,
-            depth_age_s=0.0 if estimate is None else estimate.depth_age_s,
-            leap="" if estimate is None else estimate.leap,
-            depth_leap="" if estimate is None else estimate.depth_leap,
-            is_free=False,
-            path_is_blocked=False,
-        )
+    @property
+    def estimate(self) -> Estimate | None:
+        """The part of the observation that leaves the robot."""
+        return None if self.observation is None else self.observation.estimate
+
+    @property
+    def solve(self) -> Solve:
+        """Result of the optimisation."""
+        return Solve.NONE if self.control is None else self.control.solve
 
     @property
     def is_finite(self) -> bool:
         """True if all numbers that go to the wire are finite."""
-        vectors = (
-            self.wrench, self.wrench_step, self.wrench_wanted, self.wrench_delivered, self.eta, self.nu, self.disturbance,
-            self.eta_reference, self.eta_command,
-        )  # fmt: skip
-        numbers = self.tracking_error_m + self.slack_m + self.drag_ratio + self.thrust_ratio + self.flow_moment_nm
-        return math.isfinite(numbers) and all_finite(vectors, self.plan_eta, self.plan_reference)
+        numbers = self.tracking_error_m + self.flow_moment_nm + float(self.plan_eta.sum() + self.plan_reference.sum())
+        return math.isfinite(numbers) and all(map(is_finite, (self.estimate, self.control)))
 
 
 class Controller:
@@ -239,7 +180,7 @@ class Controller:
             self._turns = None
 
     def _command(
-        self, goal: Goal, lead: Reference, is_led: bool, predictions: NeighbourPredictions, estimate: Estimate
+        self, goal: Goal, lead: Reference, is_led: bool, predictions: NeighbourPredictions, estimate: Observation
     ) -> tuple[Array, Array]:
         """Return the weight W (4,) and the reference with formation terms (35) and heading, (horizon + 2, 4): now and all
         nodes."""
@@ -256,7 +197,7 @@ class Controller:
             self._heading.reset()
         return weight, self._unwound(command, estimate)
 
-    def _unwound(self, command: Array, estimate: Estimate) -> Array:
+    def _unwound(self, command: Array, estimate: Observation) -> Array:
         """The command (rows, 4) with as many whole turns as the estimate has."""
         away = (estimate.eta.item(3) - command.item(3)) / TURN
         if self._turns is None or abs(away - self._turns) > KEEP_TURN:
@@ -268,7 +209,7 @@ class Controller:
     def _put_out(
         self,
         plan: MpcPlan,
-        estimate: Estimate,
+        estimate: Observation,
         reference: Reference,
         lead: Reference,
         command: Array,
@@ -289,42 +230,35 @@ class Controller:
         self._priority = Priority(self._urgent, error_m)
         return ControlOutput(
             pulse_us=pulses,
-            wrench=plan.wrench,
-            wrench_step=wrench_step,
-            wrench_wanted=plan.wrench if plan.wanted is None else plan.wanted,
-            wrench_delivered=delivered,
-            estimated=True,
-            eta=estimate.eta,
-            nu=estimate.nu,
-            disturbance=estimate.gamma_still_water,
-            drag_ratio=estimate.drag_ratio,
-            thrust_ratio=estimate.thrust_ratio,
-            eta_reference=goal,
-            eta_command=command[0].copy(),
+            observation=estimate,
+            control=Control(
+                eta_reference=goal,
+                eta_command=command[0].copy(),
+                wrench=plan.wrench,
+                wrench_step=wrench_step,
+                wrench_wanted=plan.wrench if plan.wanted is None else plan.wanted,
+                wrench_delivered=delivered,
+                solve=plan.solve,
+                iterations=plan.iterations,
+                slack_m=plan.slack_m,
+            ),
             plan_eta=told_eta,
             plan_reference=told_reference,
             tracking_error_m=error_m,
-            solve=plan.solve,
-            iterations=plan.iterations,
-            slack_m=plan.slack_m,
-            pose_age_s=estimate.pose_age_s,
-            depth_age_s=estimate.depth_age_s,
-            leap=estimate.leap,
-            depth_leap=estimate.depth_leap,
             is_free=is_free,
             path_is_blocked=self._give_way.path_is_blocked,
             avoids=not is_free,
         )
 
-    def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
+    def _neutral(self, estimate: Observation | None, now_ns: int) -> ControlOutput:
         """Output with thrusters off. The plan is forgotten; neighbours are told that the robot stays in place."""
         self._law.reset()
         self._heading.reset()
         self._give_way.reset()
         self.goal = None
-        wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
+        self._wrench, self._delivered = np.zeros(3), np.zeros(3)
         self._estimator.note_wrench(np.zeros(3), now_ns)
         self._priority = Priority(self._urgent, 0.0)
         eta = np.zeros(4) if estimate is None else estimate.eta
         stay = np.tile(eta, (self._config.mpc.horizon + 1, 1))
-        return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, estimate, stay)
+        return ControlOutput(self.allocator.neutral_us, estimate, None, stay, stay)

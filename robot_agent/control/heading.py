@@ -17,7 +17,7 @@ import math
 
 from robot_agent.guidance.reference import Reference
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.estimate import Estimate
+from robot_agent.vehicle.estimate import Observation
 from shoal.frames import wrap
 
 FILTER_S = 1.0  # twice as long overshoots by 4 cm
@@ -43,7 +43,7 @@ class HeadingReference:
         self.off_rad = 0.0
         self._force_n = 0j  # filtered, along and across the path's tangent
 
-    def turn(self, reference: Reference, estimate: Estimate, is_resting: bool) -> float:
+    def turn(self, reference: Reference, estimate: Observation, is_resting: bool) -> float:
         """Angle to the heading of a reference, one step on."""
         (mass, *_), (_, linear, *_), (_, quadratic, *_) = self._model.coefficients.tolist()
         ahead = cmath.rect(1.0, estimate.eta.item(3))

@@ -82,7 +82,7 @@ class HealthMonitor:
     def _fits(self, yaw_rad: float) -> bool:
         """True unless a pose's heading is far from the estimate's: a marker that is read the wrong way round."""
         output = self._output
-        return output is None or not output.estimated or abs(wrap(yaw_rad - output.eta.item(3))) < GATE_RAD
+        return output is None or output.estimate is None or abs(wrap(yaw_rad - output.estimate.eta.item(3))) < GATE_RAD
 
     def _check_sensors(self, inputs: Inputs) -> None:
         """Compare the board's sensors with themselves and with the poses."""
@@ -103,10 +103,12 @@ class HealthMonitor:
 
     def note_output(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
         """Take in a control step's estimate and reference, in the mode from now on."""
-        self._estimate_ended |= mode in POWERED and self._estimated and not output.estimated
-        self._estimated = output.estimated
+        is_estimated = output.estimate is not None
+        self._estimate_ended |= mode in POWERED and self._estimated and not is_estimated
+        self._estimated = is_estimated
         self._watch.step(output, mode, now_ns)
-        depth_m, path_depth_m = output.eta.item(2), output.eta_reference.item(2)
+        depth_m = 0.0 if output.estimate is None else output.estimate.eta.item(2)
+        path_depth_m = depth_m if output.control is None else output.control.eta_reference.item(2)
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
         self._thrusters.note_flow(output.flow_moment_nm)
         self._output = output
@@ -119,6 +121,7 @@ class HealthMonitor:
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int, drive_age_s: float = 0.0) -> Health:
         """Return the values that reactions are decided by. Changes nothing."""
         telemetry = inputs.telemetry
+        observation = self._output.observation if self._output is not None else None
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
         if self._disarmed_at is not None and (telemetry.heartbeats == 0 or telemetry.heartbeats > self._disarmed_at):
             disarmed_s = NEVER_S  # two heartbeats say so. By itself, and it knows why: only a person may arm it again
@@ -143,10 +146,10 @@ class HealthMonitor:
             watch_detail=self._watch.finding.detail,
             estimate_ended=self._estimate_ended,
             off_depth=self._depth.left,
-            depth_age_s=self._output.depth_age_s if self._output is not None else 0.0,
-            depth_leap=self._output.depth_leap if self._output is not None else "",
-            leap=self._output.leap if self._output is not None else "",
-            place_age_s=self._output.pose_age_s if self._output is not None and self._output.estimated else 0.0,
+            depth_age_s=observation.depth_age_s if observation is not None else 0.0,
+            depth_leap=observation.depth_leap if observation is not None else "",
+            leap=observation.leap if observation is not None else "",
+            place_age_s=observation.pose_age_s if observation is not None else 0.0,
             drive_age_s=drive_age_s,
         )
 

@@ -21,9 +21,10 @@ from robot_agent.safety.guidance_states import AWAY, STATES, STEADY_S, GuidanceF
 from robot_agent.safety.modes import POWERED
 from robot_agent.safety.path_deviation import ARRIVED, PathDeviationMonitor
 from robot_agent.safety.thrust_response import ThrustResponse
+from robot_agent.vehicle.estimate import Observation
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
-from shoal.messages.messages import Guidance, Mode
+from shoal.messages.messages import Control, Guidance, Mode
 
 NS = 1_000_000_000
 FOLLOWS_S = 1.0  # so far a robot that a law without foresight drives is behind its reference (guidance/driving.py)
@@ -68,6 +69,17 @@ class _Moment(NamedTuple):
     off_m: float
 
 
+class _Step(NamedTuple):
+    """A control step with a goal, of a robot that knows its place."""
+
+    output: ControlOutput
+    observation: Observation
+    control: Control
+    off_m: float  # from the goal
+    elapsed_s: float  # since the step before
+    now_ns: int
+
+
 class PathWatch:
     """Watch over one robot. Without `told_period_s`, the period of its plans, it foresees nothing: only leaving the path and
     the guidance state are told."""
@@ -108,19 +120,25 @@ class PathWatch:
         """Take in a control step's result, in the mode from now on."""
         elapsed_s = 0.0 if self._at_ns is None else (now_ns - self._at_ns) / NS
         self._at_ns = now_ns
-        place, path = complex(output.eta[0], output.eta[1]), complex(output.eta_reference[0], output.eta_reference[1])
+        observation, control = output.observation, output.control
+        place = path = led = 0j
+        if observation is not None:
+            place = path = complex(observation.eta[0], observation.eta[1])
+            led = place + cmath.rect(FOLLOWS_S, observation.eta.item(3)) * complex(observation.nu[0], observation.nu[1])
+        if control is not None:
+            path = complex(control.eta_reference[0], control.eta_reference[1])
         if mode is not Mode.DRIVEN:
             self._deviation.step(place, path, output.is_free, output.path_is_blocked, now_ns)
         elif not self._row:  # the reference leads: what counts is where the robot would be by then
-            led = place + cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(output.nu[0], output.nu[1])
             self._deviation.step(led, path, output.is_free, output.path_is_blocked, now_ns)
         off_m = abs(place - path)
         self._change_state(output, mode, off_m, elapsed_s)
-        if output.leap:
+        if observation is not None and observation.leap:
             self.response.reset()
             self._foreseen.clear()
-        if self._row and mode in POWERED and not self.finding.reason:
-            self.finding = self._find(output, place, off_m, elapsed_s, now_ns)
+        if self._row and mode in POWERED and not self.finding.reason and observation is not None and control is not None:
+            step = _Step(output, observation, control, off_m, elapsed_s, now_ns)
+            self.finding = self._find(step)
 
     def _change_state(self, output: ControlOutput, mode: Mode, off_m: float, elapsed_s: float) -> None:
         before, is_away = self.state, off_m > ARRIVED * self._limit_m
@@ -140,9 +158,9 @@ class PathWatch:
         if begins or self._avoids:
             self._entry_m, self._growing_s = off_m, 0.0
 
-    def _find(self, output: ControlOutput, place: complex, off_m: float, elapsed_s: float, now_ns: int) -> WatchFinding:
+    def _find(self, step: _Step) -> WatchFinding:
         """The first bound that is passed."""
-        strong = self._stronger_force(output, off_m, now_ns)
+        strong = self._stronger_force(step)
         held, turned_rad = self.response.held_fast, self.response.marker_turned_rad
         if strong and self.response.turn_evidence > 1.0:  # the same force, but it goes with the thrust
             turned_rad = -cmath.phase(self.response.response.gain)
@@ -153,42 +171,44 @@ class PathWatch:
             return WatchFinding("marker turned", about)
         if strong:
             return WatchFinding("current too strong", strong)
-        if self._is_surprised(output, place, elapsed_s, now_ns):
+        if self._is_surprised(step):
             return WatchFinding("does not follow its plan", self.likely_cause)
-        return self._overdue(output, off_m, elapsed_s)
+        return self._overdue(step)
 
-    def _stronger_force(self, output: ControlOutput, off_m: float, now_ns: int) -> str:
+    def _stronger_force(self, step: _Step) -> str:
         """Evidence that a force is stronger than the robot; empty if none is."""
-        learned = output.thrust_ratio or 1.0
-        force = math.hypot(output.disturbance[0], output.disturbance[1]) / (self._thrust_mps2 * learned)
-        self._moments.append(_Moment(now_ns, force, abs(output.wrench_delivered[0]) / self._thrust_n, off_m))
+        estimate, off_m, now_ns = step.observation.estimate, step.off_m, step.now_ns
+        learned = estimate.thrust_ratio or 1.0
+        force = math.hypot(estimate.disturbance[0], estimate.disturbance[1]) / (self._thrust_mps2 * learned)
+        self._moments.append(_Moment(now_ns, force, abs(step.control.wrench_delivered[0]) / self._thrust_n, off_m))
         while len(self._moments) > 2 and self._moments[1].at_ns <= now_ns - STRONGER_S * NS:
             self._moments.popleft()
         first, count = self._moments[0], len(self._moments)
         lasted_s = (now_ns - first.at_ns) / NS
         self.force = sum(m.force for m in self._moments) / count
-        self._now = max(self.force, force, (abs(output.current) / self._fastest_mps) ** 2)
+        self._now = max(self.force, force, (abs(step.observation.current) / self._fastest_mps) ** 2)
         thrust = sum(m.thrust for m in self._moments) / count
         grows = off_m - first.off_m > GROWING * self._fastest_mps * lasted_s
         if lasted_s < STRONGER_S or self.force < STRONGER or thrust < NEAR_FULL or not grows:
             return ""
         return f"it takes {100.0 * self.force:.0f} % of full thrust and carries the robot off; {100.0 * thrust:.0f} % is given"
 
-    def _is_surprised(self, output: ControlOutput, place: complex, elapsed_s: float, now_ns: int) -> bool:
+    def _is_surprised(self, step: _Step) -> bool:
         """True if the robot is not where its plan said, for LASTS_S, though what it was to fly has stayed the same."""
-        due_ns = now_ns + round(LOOK_S * NS)
+        output, now_ns = step.output, step.now_ns
+        place, due_ns = complex(*step.observation.eta[:2].tolist()), now_ns + round(LOOK_S * NS)
         self._foreseen.append(_Foreseen(due_ns, self._ahead(output.plan_eta), self._ahead(output.plan_reference)))
         due = None
         while self._foreseen[0].due_ns <= now_ns:
             due = self._foreseen.popleft()
         if due is None:
             return False
-        known = output.deviations
+        known = step.observation.deviations
         unsure_m = DEVIATIONS * (known.place_m + known.ground_mps * LOOK_S) if known is not None else 0.0
         margin_m = MODEL_SHARE * 0.5 * self._thrust_mps2 * LOOK_S**2 + unsure_m
-        asked = complex(output.eta_command[0], output.eta_command[1])
+        asked = complex(step.control.eta_command[0], step.control.eta_command[1])
         is_same = abs(asked - due.reference) < SAME * margin_m  # no other order, path or way around others meanwhile
-        self._surprised_s = self._surprised_s + elapsed_s if is_same and abs(place - due.place) > margin_m else 0.0
+        self._surprised_s = self._surprised_s + step.elapsed_s if is_same and abs(place - due.place) > margin_m else 0.0
         return self._surprised_s >= LASTS_S
 
     def _ahead(self, poses: Array) -> complex:
@@ -198,11 +218,12 @@ class PathWatch:
         x, y = ((1.0 - share) * poses[after, :2] + share * poses[after + 1, :2]).tolist()
         return complex(x, y)
 
-    def _overdue(self, output: ControlOutput, off_m: float, elapsed_s: float) -> WatchFinding:
+    def _overdue(self, step: _Step) -> WatchFinding:
         """A stay that is too long, or an error that grows on the way to the path."""
+        output, off_m, current_mps = step.output, step.off_m, abs(step.observation.current)
         path_mps = math.hypot(*(output.plan_reference[1, :2] - output.plan_reference[0, :2]).tolist()) / self._told_period_s
         horizon_s = self._told_period_s * (len(output.plan_eta) - 1)
-        spare_mps = max(self._fastest_mps - path_mps - abs(output.current), SLOWEST * self._fastest_mps)
+        spare_mps = max(self._fastest_mps - path_mps - current_mps, SLOWEST * self._fastest_mps)
         self._join_s = max(self._join_s, 2.0 * self._entry_m / spare_mps + 2.0 * horizon_s)
         is_away = off_m > ARRIVED * self._limit_m
         if self._stayed_s > STATES[self.state].longest_s(StayLimits(self._join_s)) and is_away:
@@ -211,8 +232,8 @@ class PathWatch:
             if self.state is Guidance.JOINING:
                 return WatchFinding("not in time on its path", f"not on it after {self._stayed_s:.0f} s{self._because}")
         if self.state in (Guidance.JOINING, Guidance.GIVING_WAY, Guidance.RETURNING) and not self._avoids:
-            most_m = self._entry_m + self._limit_m + horizon_s * (path_mps + abs(output.current))
-            self._growing_s = self._growing_s + elapsed_s if off_m > most_m else 0.0
+            most_m = self._entry_m + self._limit_m + horizon_s * (path_mps + current_mps)
+            self._growing_s = self._growing_s + step.elapsed_s if off_m > most_m else 0.0
             if self._growing_s >= GROWS_S:
                 grown = f"off it by {off_m:.2f} m, {self._entry_m:.2f} m when it set out"
                 return WatchFinding("not in time on its path", grown + self._because)

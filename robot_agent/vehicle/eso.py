@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_agent.vehicle.dynamics import STATES, Commands, Model, MotionModel, PerAxis4, State, State12, Wrench, propagate
-from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.estimate import Observation, PoseMeasurement, StateMeasurement
 from shoal.config.controller import COAST_S, EstimatorConfig
 from shoal.config.vehicle import AXES
 from shoal.frames import TURN, Array, wrap
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Ints, Table
+from shoal.messages.messages import Estimate
 
 S = TypeVar("S")
 
@@ -267,7 +268,7 @@ class Estimator:
             self._inputs += 1
         self._acts_ns[self._inputs - 1], self._wrenches[self._inputs - 1, : len(wrench)] = acts_ns, wrench
 
-    def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
+    def update(self, measurement: StateMeasurement, now_ns: int) -> Observation | None:
         """Take in new measurements and return the estimate; None before the first pose and after coasting longer than
         COAST_S."""
         self._leap = self._depth_leap = ""
@@ -295,9 +296,9 @@ class Estimator:
         eta, nu, disturbance, gamma_still_water = now
         x_mps, y_mps = self._belief[CURRENT].tolist()
         depth_age_s = (now_ns - self._depth_ns) / NS if self._depth_ns is not None else math.inf
-        return Estimate(
-            eta, nu, disturbance, complex(x_mps, y_mps), gamma_still_water, action, (now_ns - self._at_ns) / NS, depth_age_s,
-            self._leap, self._depth_leap,
+        return Observation(
+            Estimate(eta, nu, gamma_still_water), disturbance, complex(x_mps, y_mps), action, (now_ns - self._at_ns) / NS,
+            depth_age_s, self._leap, self._depth_leap,
         )  # fmt: skip
 
     def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:

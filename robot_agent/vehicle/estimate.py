@@ -7,6 +7,7 @@ plan over several seconds has to know which is which, so the estimate keeps them
 from typing import NamedTuple
 
 from shoal.frames import Array
+from shoal.messages.messages import Estimate
 
 
 class PoseMeasurement(NamedTuple):
@@ -52,24 +53,31 @@ class Deviations(NamedTuple):
     ratios: Ratios  # relative
 
 
-class Estimate(NamedTuple):
-    """The estimated state. Velocities and `disturbance` are in the body frame, `current` in the pool frame."""
+class Observation(NamedTuple):
+    """An observer's result. `estimate` is what the robot tells; the rest stays in its controller. Velocities and
+    `disturbance` are in the body frame, `current` in the pool frame."""
 
-    eta: Array  # (4,) now; yaw continuous, not wrapped
-    nu: Array  # (4,) now, over ground
+    estimate: Estimate  # now; yaw continuous, not wrapped
     disturbance: Array  # (4,) acceleration that the model does not explain, in water that streams at `current`
     current: complex  # x + iy of the water's own velocity, m/s
-    gamma_still_water: Array  # (4,) both together: what a model of still water does not explain
     action: Array  # (12,) state when a command given now begins to act; velocities through the water
     pose_age_s: float
     depth_age_s: float  # of the last depth that did not contradict the estimate; infinite before the first
     leap: str = ""  # what was told and what had been believed, in the step that gave up a believed place for another one
     depth_leap: str = ""  # the same for the depth
-    drag_ratio: float = 0.0  # drag per mass over the nominal model's, as learned; 0 if it is not learned
-    thrust_ratio: float = 0.0  # the same of thrust per mass
     moment_ratio: float = 0.0  # of yaw moment per inertia; 0 if it is not learned
     bandwidth_radps: float = 0.0  # with which the observer follows the poses now; 0: not known
     deviations: Deviations | None = None  # None: the observer has no covariance
+
+    @property
+    def eta(self) -> Array:
+        """Pose now, (4,)."""
+        return self.estimate.eta
+
+    @property
+    def nu(self) -> Array:
+        """Velocity now over ground, (4,)."""
+        return self.estimate.nu
 
     @property
     def through_water(self) -> Array:

@@ -6,6 +6,7 @@ from the vehicle file and from what poses report (docs/control.md has the table)
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from robot_agent.vehicle.eso import (
     sensed_at,
     state_of,
 )
-from robot_agent.vehicle.estimate import Deviations, Estimate, PoseMeasurement, Ratios, StateMeasurement
+from robot_agent.vehicle.estimate import Deviations, Observation, PoseMeasurement, Ratios, StateMeasurement
 from robot_agent.vehicle.filter_bank import (
     ACTING,
     CURRENT_X,
@@ -406,7 +407,7 @@ class KalmanEstimator(Estimator):
             model.nominal, model.motion, float(config.enabled), config.bandwidth_radps, self._fastest_mps, surge_n, yaw_nm
         )
 
-    def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
+    def update(self, measurement: StateMeasurement, now_ns: int) -> Observation | None:
         """See `Estimator.update`. A belief that is no number any more is given up."""
         estimate = super().update(measurement, now_ns)
         if estimate is None:
@@ -421,7 +422,7 @@ class KalmanEstimator(Estimator):
         place, yaw, velocity, ground, rate, current = deviations[:6]
         own_force, ratios = self._deviation[6:9].copy(), Ratios(deviations[9], deviations[10], deviations[11])
         return estimate._replace(
-            drag_ratio=d, thrust_ratio=t, moment_ratio=n, bandwidth_radps=w,
+            estimate=replace(estimate.estimate, drag_ratio=d, thrust_ratio=t), moment_ratio=n, bandwidth_radps=w,
             deviations=Deviations(place, yaw, velocity, ground, rate, current, own_force, ratios),
         )  # fmt: skip
 

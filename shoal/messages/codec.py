@@ -22,7 +22,7 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
 
 from shoal.messages.messages import Command, CommandTaken, Event, Frame, Message, Picture, Preview, Trajectory, Video
-from shoal.messages.schema import message_classes, optional_message
+from shoal.messages.schema import message_classes, nested_message
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
@@ -97,10 +97,10 @@ class _Invalid(Exception):
 
 @cache
 def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], bool], ...]:
-    """Per field of a message: its name, the checked conversion from the protobuf value, and whether it may be absent."""
+    """Per field of a message: its name, the checked conversion from the protobuf value, and whether it is a message."""
     hints = get_type_hints(cls)
     return tuple(
-        (f.name, _reader(hints[f.name], f.metadata), optional_message(hints[f.name]) is not None)
+        (f.name, _reader(hints[f.name], f.metadata), nested_message(hints[f.name]) is not None)
         for f in dataclasses.fields(cls)
     )
 
@@ -137,7 +137,7 @@ def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
         return _read_text
     if get_origin(hint) is tuple:
         return lambda value, name: tuple(value)
-    nested = optional_message(hint)
+    nested = nested_message(hint)
     if nested is not None:
         return lambda value, name: _from_protobuf(nested, value, f"{name}.")
     return lambda value, name: value
@@ -199,9 +199,9 @@ def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
 def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
     """Build a dataclass from its protobuf message. Raises _Invalid for a field that breaks its rules."""
     values: dict[str, Any] = {}
-    for name, read, may_be_absent in _fields(cast(Any, cls)):
-        absent = may_be_absent and not message.HasField(name)
-        values[name] = None if absent else read(getattr(message, name), prefix + name)
+    for name, read, is_message in _fields(cast(Any, cls)):
+        absent = is_message and not message.HasField(name)
+        values[name] = getattr(cls, name) if absent else read(getattr(message, name), prefix + name)
     first, *others = _growing(cast(Any, cls)) or ("",)
     if wrenches := _wrenches(cast(Any, cls)):
         in_rows = not set(wrenches).isdisjoint((first, *others))  # one for each row of the message's arrays, or one in all

@@ -7,19 +7,24 @@ shoal/frames.py. Array fields state their shape; -1 is any length, but one
 length for all of a message.
 """
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shoal.frames import Array
+from shoal.messages.labels import ACCELERATION, CHANNELS, POSE, VELOCITY, WRENCH, Label, columns
 
 # Integers, with the form that they have on the wire.
 Int64 = Annotated[int, "int64"]
 Uint32 = Annotated[int, "uint32"]
 Uint64 = Annotated[int, "uint64"]
+
+
+T = TypeVar("T")
 
 
 def array(*shape: int) -> Any:
@@ -34,11 +39,34 @@ def wrench_array(*rows: int) -> Any:
     return field(default_factory=lambda: np.zeros(empty), metadata={"shape": (*rows, 3), "wrench": True})
 
 
+def is_finite(message: Any) -> bool:
+    """True if every number of a message is finite; of None it is."""
+    values = () if message is None else vars(message).values()
+    floats = (float(value.sum()) if isinstance(value, np.ndarray) else value for value in values)
+    return all(math.isfinite(value) for value in floats if isinstance(value, float))
+
+
+def required(part: T | None) -> T:
+    """A part of a message that has to be there. Raises ValueError where it is not."""
+    if part is None:
+        raise ValueError("the message has no such part: nothing was known")
+    return part
+
+
 def row_numbers() -> Any:
     """A field of integers, one for each row of the message's arrays: the id that the row belongs to."""
     return field(default=(), metadata={"each_row": True})
 
 
+# The covariance of x, y and yaw row by row, and the corners of an outline, as tables have them.
+COVARIANCE = columns(
+    *(
+        f"covariance_{a}_{b}_{unit}"
+        for a, row in (("x", ("m2", "m2", "m_rad")), ("y", ("m2", "m2", "m_rad")), ("yaw", ("m_rad", "m_rad", "rad2")))
+        for b, unit in zip(("x", "y", "yaw"), row, strict=True)
+    )
+)
+CORNERS = columns(*(f"corner_{k}_{axis}_m" for k in range(1, 13) for axis in "xy"))
 POSITIVE = {"positive": True}  # metadata of a float that receivers divide by: the codec refuses zero and less
 
 
@@ -147,10 +175,11 @@ class Truth:
     """The true state of the simulated plant. Robots, localizer and planner may not read it."""
 
     robots: Annotated[tuple[Uint32, ...], 1] = row_numbers()
-    eta: Annotated[Array, 2] = array(-1, 4)
-    nu: Annotated[Array, 3] = array(-1, 4)
-    wrench: Annotated[Array, 4] = wrench_array(-1)  # Wrench that the thrusters deliver.
-    disturbance: Annotated[Array, 5] = array(-1, 4)  # Acceleration that the nominal model does not explain, in the body frame.
+    eta: Annotated[Array, 2, Label("", parts=POSE)] = array(-1, 4)
+    nu: Annotated[Array, 3, Label("", parts=VELOCITY)] = array(-1, 4)
+    wrench: Annotated[Array, 4, Label("", parts=WRENCH)] = wrench_array(-1)  # Wrench that the thrusters deliver.
+    disturbance: Annotated[Array, 5, Label("", parts=ACCELERATION, prefix="disturbance_")] = array(-1, 4)
+    # Acceleration that the nominal model does not explain, in the body frame.
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +189,7 @@ class Pose:
     x_m: Annotated[float, 1]
     y_m: Annotated[float, 2]
     yaw_rad: Annotated[float, 3]
-    covariance: Annotated[Array, 4] = array(3, 3)  # Covariance of x, y, yaw: m^2, m rad, rad^2.
+    covariance: Annotated[Array, 4, COVARIANCE] = array(3, 3)  # Covariance of x, y, yaw: m^2, m rad, rad^2.
     track: Annotated[Track, 5] = Track.LOST
     identity_verified: Annotated[bool, 6] = False  # A marker was read since the robot was last near another robot.
     peak: Annotated[float, 7] = 0.0  # Peak of the correlation, 0 to 1.
@@ -196,12 +225,13 @@ class Obstacles:
     """
 
     ids: Annotated[tuple[Uint32, ...], 1] = row_numbers()  # Kept while the obstacle is tracked; none is used twice.
-    outline: Annotated[Array, 2] = array(-1, 12, 2)  # Corners x, y in the pool frame, m.
-    velocity: Annotated[Array, 3] = array(-1, 2)  # Velocity over the floor in the pool frame, m/s.
+    outline: Annotated[Array, 2, CORNERS] = array(-1, 12, 2)  # Corners x, y in the pool frame, m.
+    velocity: Annotated[Array, 3, columns("x_mps", "y_mps")] = array(-1, 2)  # Velocity over the floor in the pool frame, m/s.
     depth_m: Annotated[float, 4] = 0.0  # Assumed depth: that of the robots' path, where an obstacle would be in their way.
     watched: Annotated[float, 5] = 0.0  # Share of the pool that can be judged, 0 to 1. The list says nothing about the rest.
     blind: Annotated[str, 6] = ""  # Reason why too little of the pool can be judged for the list to count.
-    unseen_s: Annotated[Array, 7] = array(-1)  # Time since each obstacle was last seen. The other fields are as of then.
+    unseen_s: Annotated[Array, 7, columns("unseen_s")] = array(-1)
+    # Time since each obstacle was last seen. The other fields are as of then.
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,12 +239,85 @@ class Plan:
     """A robot's predicted motion: node s is at the header's stamp + s * period_s, node 0 is the estimate."""
 
     period_s: Annotated[float, 1] = field(metadata=POSITIVE)
-    eta: Annotated[Array, 2] = array(-1, 4)  # Predicted poses.
-    eta_reference: Annotated[Array, 3] = array(-1, 4)  # Reference poses at the same nodes.
+    eta: Annotated[Array, 2, Label("", parts=POSE)] = array(-1, 4)  # Predicted poses.
+    eta_reference: Annotated[Array, 3, Label("", parts=POSE, prefix="reference_")] = array(-1, 4)
+    # Reference poses at the same nodes.
     tracking_error_m: Annotated[float, 4] = 0.0  # Distance from the reference at node 0.
     urgent: Annotated[bool, 5] = False  # The robot has priority: others give way to it.
     heard: Annotated[tuple[Uint32, ...], 7] = ()  # Robots whose plans it receives. Only they may rely on it to give way.
     adrift: Annotated[bool, 8] = False  # It has no thrust and drifts as predicted: nobody may rely on it to give way.
+
+
+@dataclass(frozen=True, eq=False)
+class BoardReading:
+    """The last telemetry of a thruster board, as far as its robot acts on it (Telemetry of shoal/mavlink/agent_link.py)."""
+
+    board_ms: Annotated[Int64, 1] = -1  # The board's time of the last burst; -1: none yet.
+    arrival_ns: Annotated[Int64, 2] = 0  # Instant of the measurement on the robot's clock, or of the reading.
+    heading_rad: Annotated[float, 3] = 0.0
+    yaw_rate_radps: Annotated[float, 4] = 0.0
+    acceleration_mps2: Annotated[Array, 5, Label("", parts=ACCELERATION[:3], prefix="acceleration_")] = array(
+        3
+    )  # Specific force, in the body frame.
+    tilt: Annotated[Array, 13] = array(-1)  # Roll, pitch [rad] and their rates [rad/s]; empty if not measured.
+    depth_m: Annotated[float, 6, Label("Measured depth", "m")] = 0.0
+    battery_v: Annotated[float, 7, Label("Battery", "V")] = 0.0
+    armed: Annotated[bool, 8] = False
+    echo_us: Annotated[tuple[Uint32, ...], 9, Label("Echo", parts=CHANNELS, prefix="echo_")] = ()
+    loss: Annotated[float, 10, Label("Board messages lost")] = 0.0  # Fraction of the board's messages lost in the last 5 s.
+    charge: Annotated[Uint32, 11] = 0  # Charge state by the board: MAV_BATTERY_CHARGE_STATE, 0 if not known.
+    battery_reports: Annotated[Uint32, 12] = 0  # Number of voltages received from the board; 0: none yet, or an old log.
+    heartbeats: Annotated[Uint32, 14] = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
+    autopilot: Annotated[Uint32, 15] = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
+    power_on_depth_m: Annotated[float, 16] = 0.0  # Depth at which the board was restarted; 0: not restarted.
+    objection: Annotated[str, 17] = ""  # Reason not to arm that the robot's program found in the board's parameters.
+    zero_in_question: Annotated[bool, 18] = False  # A person has to confirm the board's depth zero.
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A robot's estimate of its own motion and of the water."""
+
+    eta: Annotated[Array, 1, Label("Estimated", parts=POSE)] = array(4)  # Pose.
+    nu: Annotated[Array, 2, Label("Velocity", parts=VELOCITY)] = array(4)  # Velocity over ground.
+    disturbance: Annotated[Array, 3, Label("Disturbance", parts=ACCELERATION, prefix="disturbance_")] = array(4)
+    # Acceleration that the nominal model in still water does not explain.
+    drag_ratio: Annotated[float, 4, Label("Learned drag per mass, × the file's")] = 0.0  # 0 if it is not learned.
+    thrust_ratio: Annotated[float, 5, Label("Learned thrust per mass, × the file's")] = 0.0  # 0 if it is not learned.
+
+
+@dataclass(frozen=True, eq=False)
+class Control:
+    """A control step's goal and result."""
+
+    eta_reference: Annotated[Array, 1, Label("Reference", parts=POSE, prefix="reference_")] = array(4)
+    # Pose on the trajectory: yaw is the tangent of the path.
+    eta_command: Annotated[Array, 2, Label("Command", parts=POSE, prefix="command_")] = array(4)
+    # Pose given to the controller: yaw includes crab angle and correction.
+    wrench: Annotated[Array, 3, Label("Wrench asked for", parts=WRENCH)] = wrench_array()  # Within the limits.
+    wrench_step: Annotated[Array, 4, Label("Wrench step", parts=WRENCH, prefix="step_")] = wrench_array()
+    # Change of the wrench in this step.
+    wrench_wanted: Annotated[Array, 5, Label("Wrench before limits", parts=WRENCH, prefix="wanted_")] = wrench_array()
+    # Result of the control law before magnitude and rate were limited.
+    wrench_delivered: Annotated[Array, 6, Label("Wrench delivered", parts=WRENCH, prefix="delivered_")] = wrench_array()
+    # Wrench after allocation and limits, by the nominal thrust curve.
+    solve: Annotated[Solve, 7] = Solve.NONE
+    iterations: Annotated[Uint32, 8, Label("Solver iterations")] = 0
+    slack_m: Annotated[float, 9, Label("Plan in another's space", "m")] = 0.0
+    # Depth by which the plan enters the space of another robot.
+
+
+@dataclass(frozen=True, eq=False)
+class StepTiming:
+    """Ages of a step's inputs, and the time that it took."""
+
+    pose_age_ms: Annotated[float, 1, Label("Age of the pose", "ms")] = 0.0  # 1e6: there was none.
+    exposure_to_pwm_ms: Annotated[float, 2, Label("Exposure to PWM", "ms")] = 0.0
+    step_us: Annotated[float, 3, Label("Control step", "us")] = 0.0  # Duration of the whole control step.
+    missed_deadlines: Annotated[Uint32, 4, Label("Missed deadlines")] = 0
+    board_age_ms: Annotated[float, 5, Label("Age of the board's word", "ms")] = 0.0  # 1e6: it was never heard.
+    board_round_trip_ms: Annotated[float, 6, Label("Round trip to the board", "ms")] = 0.0
+    board_clock_offset_s: Annotated[float, 7] = 0.0  # The board's clock minus the robot's clock.
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,51 +326,35 @@ class RobotState:
 
     mode: Annotated[Mode, 1] = Mode.DISARMED
     fault: Annotated[str, 2] = ""  # Reason why the robot holds, stopped or failed; empty if there is none.
-    guidance: Annotated[Guidance, 46] = Guidance.NONE  # What decides the robot's motion.
-    experiment_hash: Annotated[str, 3] = ""
-    tuning_id: Annotated[str, 32] = ""  # Id of the gains in use.
-    trajectory_s: Annotated[float, 4] = 0.0  # Time along the trajectory; 0 until it is started.
-    trajectory_id: Annotated[str, 5] = ""
-    eta: Annotated[Array, 6] = array(4)  # Estimated pose.
-    nu: Annotated[Array, 7] = array(4)  # Estimated velocity.
-    disturbance: Annotated[Array, 8] = array(4)  # Estimated acceleration, in the body frame [m/s^2, rad/s^2].
-    eta_reference: Annotated[Array, 9] = array(4)  # Pose on the trajectory: yaw is the tangent of the path.
-    eta_command: Annotated[Array, 10] = array(4)  # Pose given to the controller: yaw includes crab angle and correction.
-    wrench: Annotated[Array, 11] = wrench_array()  # Commanded wrench, within the limits.
-    wrench_step: Annotated[Array, 12] = wrench_array()  # Change of the commanded wrench in this step.
-    wrench_wanted: Annotated[Array, 31] = wrench_array()  # Result of the control law before magnitude and rate were limited.
-    wrench_delivered: Annotated[Array, 13] = wrench_array()  # Wrench after allocation and limits, by the nominal thrust curve.
-    pulse_us: Annotated[tuple[Uint32, ...], 14] = ()  # Widths sent to the board: 4 thrusters and 4 ankles, or 8 thrusters.
-    echo_us: Annotated[tuple[Uint32, ...], 15] = ()  # Pulse widths that the board reports as its output.
-    track: Annotated[Track, 16] = Track.LOST
-    pose_age_ms: Annotated[float, 17] = 0.0
-    exposure_to_pwm_ms: Annotated[float, 18] = 0.0
-    depth_m: Annotated[float, 19] = 0.0  # Measured depth, less the experiment's `depth_offset_m` of the robot.
-    battery_v: Annotated[float, 20] = 0.0
-    board_armed: Annotated[bool, 21] = False
-    board_age_ms: Annotated[float, 22] = 0.0
-    board_loss: Annotated[float, 23] = 0.0  # Fraction of the board's messages lost in the last 5 s.
-    board_round_trip_ms: Annotated[float, 33] = 0.0  # Last measured time to the board and back.
-    board_clock_offset_s: Annotated[float, 34] = 0.0  # The board's clock minus the robot's clock.
-    solve: Annotated[Solve, 24] = Solve.NONE
-    iterations: Annotated[Uint32, 25] = 0
-    step_us: Annotated[float, 26] = 0.0  # Duration of the whole control step.
-    missed_deadlines: Annotated[Uint32, 28] = 0
-    slack_m: Annotated[float, 29] = 0.0  # Depth by which the plan enters the space of another robot.
-    thruster_test: Annotated[str, 35] = ""  # "", "running", "passed", or the fault that was found.
-    heard: Annotated[tuple[Uint32, ...], 30] = ()  # Neighbours whose plans are fresh.
-    planned: Annotated[bool, 36] = False  # It published a plan in this step. It does not while its position is unknown.
-    tilt: Annotated[Array, 41] = array(-1)  # Roll, pitch [rad], their rates [rad/s]; empty if not measured.
-    blind: Annotated[str, 40] = ""  # Reason why obstacles are unknown although they should be watched for.
-    drag_ratio: Annotated[float, 42] = 0.0  # Learned drag per mass over the vehicle file's; 0 if it is not learned.
-    thrust_ratio: Annotated[float, 43] = 0.0  # The same of thrust per mass.
-    code: Annotated[str, 44] = ""  # Version and commit of the robot's program.
+    guidance: Annotated[Guidance, 3] = Guidance.NONE  # The part of the guidance that decides the robot's motion.
+    experiment_hash: Annotated[str, 4] = ""
+    tuning_id: Annotated[str, 5] = ""  # Id of the gains in use.
+    code: Annotated[str, 6] = ""  # Version and commit of the robot's program.
+    trajectory_s: Annotated[float, 7, Label("Time along the trajectory", "s")] = 0.0  # 0 until it is started.
+    trajectory_id: Annotated[str, 8] = ""
+    pulse_us: Annotated[tuple[Uint32, ...], 9, Label("Pulse", parts=CHANNELS, prefix="pulse_")] = ()
+    # Widths sent to the board: 4 thrusters and 4 ankles, or 8 thrusters.
+    track: Annotated[Track, 10] = Track.LOST
+    heard: Annotated[tuple[Uint32, ...], 11] = ()  # Neighbours whose plans are fresh.
+    blind: Annotated[str, 12] = ""  # Reason why obstacles are unknown although they should be watched for.
+    thruster_test: Annotated[str, 13] = ""  # "", "running", "passed", or the fault that was found.
+    estimate: Annotated[Estimate | None, 14] = None  # None until the robot knows its place; only with it there is a plan.
+    control: Annotated[Control | None, 15] = None  # None while the thrusters are at neutral because the robot has no goal.
+    board: Annotated[BoardReading | None, 16] = None  # Depth less the robot's `depth_offset_m`; None until it was heard.
+    timing: Annotated[StepTiming, 17] = StepTiming()
 
     @property
     def doing(self) -> str:
         """The mode, and along a path what decides the motion: "tracking, giving way"."""
         along = self.mode is Mode.TRACKING and self.guidance is not Guidance.NONE
         return self.mode.name.lower() + (f", {self.guidance.name.lower().replace('_', ' ')}" if along else "")
+
+    @property
+    def error_m(self) -> float | None:
+        """Distance from the goal; None without estimate or goal."""
+        if self.estimate is None or self.control is None:
+            return None
+        return float(np.linalg.norm(self.estimate.eta[:3] - self.control.eta_reference[:3]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,9 +382,11 @@ class Trajectory:
 
     id: Annotated[str, 1]
     period_s: Annotated[float, 2] = field(metadata=POSITIVE)
-    eta: Annotated[Array, 3] = array(-1, 4)
-    velocity: Annotated[Array, 4] = array(-1, 4)  # d eta / dt, in the pool frame.
-    acceleration: Annotated[Array, 5] = array(-1, 4)  # d2 eta / dt2, in the pool frame.
+    eta: Annotated[Array, 3, Label("", parts=POSE)] = array(-1, 4)
+    velocity: Annotated[Array, 4, columns("x_mps", "y_mps", "z_mps", "yaw_radps")] = array(-1, 4)
+    # d eta / dt, in the pool frame.
+    acceleration: Annotated[Array, 5, columns("x_mps2", "y_mps2", "z_mps2", "yaw_radps2")] = array(-1, 4)
+    # d2 eta / dt2, in the pool frame.
     begin_s: Annotated[float, 6] = 0.0  # Time of the first sample, on the clock that runs along the trajectories.
 
 
@@ -308,7 +397,7 @@ class Tuning:
 
     id: Annotated[str, 1]  # Id of exactly these values.
     keys: Annotated[tuple[str, ...], 2] = ()  # Keys of the file, one for each entry of a list: `controller.mpc.q.0`.
-    values: Annotated[Array, 3] = array(-1)
+    values: Annotated[Array, 3, columns("value")] = array(-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,30 +457,6 @@ class Reply:
     session: Annotated[Uint64, 5] = 0  # Session of the process that replies.
     silent: Annotated[bool, 6] = False  # No reply came in time. The asking process made this one itself.
     outcome: Annotated[Outcome | None, 7] = None  # Outcome of an operator's request, from the station.
-
-
-@dataclass(frozen=True, eq=False)
-class BoardReading:
-    """The last telemetry of a thruster board, as far as its robot acts on it (Telemetry of shoal/mavlink/agent_link.py)."""
-
-    board_ms: Annotated[Int64, 1] = -1  # The board's time of the last burst; -1: none yet.
-    arrival_ns: Annotated[Int64, 2] = 0  # Instant of the measurement on the robot's clock, or of the reading.
-    heading_rad: Annotated[float, 3] = 0.0
-    yaw_rate_radps: Annotated[float, 4] = 0.0
-    acceleration_mps2: Annotated[Array, 5] = array(3)  # Specific force, in the body frame.
-    tilt: Annotated[Array, 13] = array(-1)  # Roll, pitch [rad] and their rates [rad/s]; empty if not measured.
-    depth_m: Annotated[float, 6] = 0.0
-    battery_v: Annotated[float, 7] = 0.0
-    armed: Annotated[bool, 8] = False
-    echo_us: Annotated[tuple[Uint32, ...], 9] = ()
-    loss: Annotated[float, 10] = 0.0  # Fraction of the board's messages lost in the last 5 s.
-    charge: Annotated[Uint32, 11] = 0  # Charge state by the board: MAV_BATTERY_CHARGE_STATE, 0 if not known.
-    battery_reports: Annotated[Uint32, 12] = 0  # Number of voltages received from the board; 0: none yet, or an old log.
-    heartbeats: Annotated[Uint32, 14] = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
-    autopilot: Annotated[Uint32, 15] = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
-    power_on_depth_m: Annotated[float, 16] = 0.0  # Depth at which the board was restarted; 0: not restarted.
-    objection: Annotated[str, 17] = ""  # Reason not to arm that the robot's program found in the board's parameters.
-    zero_in_question: Annotated[bool, 18] = False  # A person has to confirm the board's depth zero.
 
 
 @dataclass(frozen=True, eq=False)
@@ -486,7 +551,7 @@ class Event:
 
 
 Message = (
-    Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning
-    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | FaultRequest | CommandTaken | Frame | Preview
-    | Video | Picture | Event
+    Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | Estimate | Control | StepTiming | StationHeartbeat
+    | Trajectory | Tuning | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | FaultRequest | CommandTaken
+    | Frame | Preview | Video | Picture | Event
 )  # fmt: skip

@@ -28,12 +28,12 @@ SIMPLE = {
 }
 
 
-def optional_message(hint: Any) -> type | None:
-    """The message class of a field that may be absent; None of another field."""
-    if get_origin(hint) in (Union, types.UnionType):
-        for candidate in get_args(hint):
-            if dataclasses.is_dataclass(candidate) and isinstance(candidate, type):
-                return candidate
+def nested_message(hint: Any) -> type | None:
+    """The message class of a field that holds a message, or may hold one; None of another field."""
+    candidates = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    for candidate in candidates:
+        if dataclasses.is_dataclass(candidate) and isinstance(candidate, type):
+            return candidate
     return None
 
 
@@ -57,7 +57,7 @@ def _field(package: str, field: dataclasses.Field[Any], hint: Any) -> tuple[Fiel
     if len(numbers) != 1:
         raise TypeError(f"{field.name}: {hint} states no field number")
     described = FieldDescriptorProto(name=field.name, number=numbers[0], label=FieldDescriptorProto.LABEL_OPTIONAL)
-    nested = optional_message(kind)
+    nested = nested_message(kind)
     if "shape" in field.metadata:
         described.type, described.label = FieldDescriptorProto.TYPE_DOUBLE, FieldDescriptorProto.LABEL_REPEATED
     elif get_origin(kind) is tuple:

@@ -292,7 +292,8 @@ class AgentFleet:
         took_ns = self._clock_ns() - begin_ns
         self._water.act(i, outputs)
         robot.plan = StampedPlan(outputs.plan, self.now_ns) if outputs.plan is not None else robot.plan
-        robot.states.append(replace(outputs.state, step_us=took_ns / 1000.0) if took_ns else outputs.state)
+        timing = replace(outputs.state.timing, step_us=took_ns / 1000.0)
+        robot.states.append(replace(outputs.state, timing=timing) if took_ns else outputs.state)
 
     def pose(self, i: int) -> StampedPose | None:
         """The newest pose of the i-th robot that the localizer has published by now."""

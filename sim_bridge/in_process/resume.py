@@ -25,7 +25,7 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import decode
-from shoal.messages.messages import Event, Mode, Plan, RobotState, Truth
+from shoal.messages.messages import Event, Mode, Plan, RobotState, Truth, required
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
 from sim_bridge.replay.rerun import Rerun
@@ -89,7 +89,7 @@ def resume(
     )
     water = DirectPlant(experiment, seed, eta)
     now_ns = memories[0].now_ns if memories[0].now_ns < SIMULATED_BELOW_NS else at_ns
-    armed = [memory.state.board_armed for memory in memories]
+    armed = [_is_armed(memory.state) for memory in memories]
     water.resume_at(eta, nu, _pulses(experiment, memories), armed, now_ns, now_ns - at_ns)
     trajectories = {r: m.agent.trajectory for r, m in zip(experiment.robot_ids, memories, strict=True) if m.agent.trajectory}
     fleet = AgentFleet(experiment, trajectories, water, seed, clock_ns)
@@ -103,12 +103,17 @@ def resume(
     return fleet, water
 
 
+def _is_armed(state: RobotState) -> bool:
+    return state.board is not None and state.board.armed
+
+
 def _pose_at_moment(memory: RobotHistory, row: int, robots: Sequence[int]) -> tuple[Array, Array]:
     """Pose and velocity of a robot at the moment: the truth between its samples, or the robot's estimate."""
     stamps = np.array([stamp for stamp, _ in memory.truths], dtype=np.float64)
     truths = [truth for _, truth in memory.truths if truth.robots == tuple(robots)]
     if len(truths) != len(stamps) or len(stamps) < 2 or np.abs(stamps - memory.now_ns).min() > SAME_CLOCK_NS:
-        return memory.state.eta, memory.state.nu
+        estimate = required(memory.state.estimate)
+        return estimate.eta, estimate.nu
 
     def between(rows: Array) -> Array:
         return np.array([np.interp(memory.now_ns, stamps, column) for column in rows.T])
@@ -124,7 +129,7 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
     neutral = tuple(map(float, experiment.vehicle.neutral_us))
 
     def of(memory: RobotHistory) -> list[tuple[float, ...]]:
-        pulses = [tuple(map(float, s.pulse_us)) if s.board_armed else neutral for _, s in memory.states[-count:]]
+        pulses = [tuple(map(float, s.pulse_us)) if _is_armed(s) else neutral for _, s in memory.states[-count:]]
         return [neutral] * (count - len(pulses)) + pulses
 
     return [np.array(step) for step in zip(*map(of, memories), strict=True)]

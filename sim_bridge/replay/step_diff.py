@@ -2,10 +2,10 @@
 steps."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,14 +18,16 @@ from shoal.frames import Array, wrap_angle
 from shoal.messages import topics
 from shoal.messages.codec import decode
 from shoal.messages.messages import Event, Plan, RobotState
+from shoal.messages.schema import nested_message
 from shoal.messages.topics import Topic
 
 # By the robot's program, not by its agent.
-MEASURED = ("step_us", "exposure_to_pwm_ms", "missed_deadlines", "board_round_trip_ms", "board_clock_offset_s", "code")
-NAMED_SO = ("experiment_hash",)  # differs with any other experiment
-ANGLES = {"eta": 3, "eta_reference": 3, "eta_command": 3}  # columns that are angles
+TIMES = ("step_us", "exposure_to_pwm_ms", "missed_deadlines", "board_round_trip_ms", "board_clock_offset_s")
+MEASURED = frozenset({"code", *(f"timing.{name}" for name in TIMES)})
+NAMED_SO = frozenset({"experiment_hash"})  # differs with any other experiment
+ANGLES = {"estimate.eta": 3, "control.eta_reference": 3, "control.eta_command": 3}  # columns that are angles
 MOST_GAPS = 5  # told one by one
-DRAWN = ("wrench", "eta_command", "nu", "disturbance")
+DRAWN = ("control.wrench", "control.eta_command", "estimate.nu", "estimate.disturbance")
 
 
 @dataclass(frozen=True)
@@ -88,11 +90,13 @@ def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment
     was = [decode(RobotState, before.states[stamp], "log", "state") for stamp in stamps]
     would = [decode(RobotState, after.states[stamp], "rerun", "state") for stamp in stamps]
     time_s: Array = (np.array(stamps, dtype=np.int64) - _start_ns(stamps, was)).astype(np.float64) * 1e-9
-    lost = [stamp for stamp, state in zip(stamps, was, strict=True) if state.planned and stamp not in before.plans]
+    lost = [
+        stamp for stamp, state in zip(stamps, was, strict=True) if state.estimate is not None and stamp not in before.plans
+    ]
     unlogged = [f"the plan of robot {robot} at {s:.2f} s is not in the log" for s in time_s[np.isin(stamps, lost)].tolist()]
-    left_out = MEASURED if same_experiment else (*MEASURED, *NAMED_SO)
-    names = [f.name for f in dataclasses.fields(RobotState) if f.name not in left_out]
-    columns = {name: ([getattr(s, name) for s in was], [getattr(s, name) for s in would]) for name in names}
+    left_out = MEASURED if same_experiment else MEASURED | NAMED_SO
+    names = [name for name in _paths(RobotState) if name not in left_out]
+    columns = {name: ([_value(s, name) for s in was], [_value(s, name) for s in would]) for name in names}
     columns |= _plan_columns(before, after, stamps, frozenset(lost))
     differing, differences = np.zeros(len(stamps), dtype=bool), []
     for name, (old, new) in columns.items():
@@ -124,15 +128,30 @@ def draw(again: StepComparison) -> Figure | None:
         ]
 
     panels = [
-        Panel("surge [N]", lines("wrench", 0)),
-        Panel("heave [N]", lines("wrench", 1)),
-        Panel("yaw [N m]", lines("wrench", 2)),
-        *([Panel("sway [N]", lines("wrench", 3))] if again.before["wrench"].shape[1] > 3 else []),
-        Panel("heading command [rad]", lines("eta_command", 3)),
-        Panel("surge est. [m/s]", lines("nu", 0)),
-        Panel("disturbance, surge [m/s²]", lines("disturbance", 0)),
+        Panel("surge [N]", lines("control.wrench", 0)),
+        Panel("heave [N]", lines("control.wrench", 1)),
+        Panel("yaw [N m]", lines("control.wrench", 2)),
+        *([Panel("sway [N]", lines("control.wrench", 3))] if again.before["control.wrench"].shape[1] > 3 else []),
+        Panel("heading command [rad]", lines("control.eta_command", 3)),
+        Panel("surge est. [m/s]", lines("estimate.nu", 0)),
+        Panel("disturbance, surge [m/s²]", lines("estimate.disturbance", 0)),
     ]
     return picture(TimePlot(panels)) if len(again.time_s) else None
+
+
+def _paths(cls: Any, above: str = "") -> Iterator[str]:
+    """The fields of a message and of the messages within it: `mode`, `estimate.eta`."""
+    hints = get_type_hints(cls)
+    for f in dataclasses.fields(cls):
+        nested = nested_message(hints[f.name])
+        yield from [above + f.name] if nested is None else _paths(nested, f"{above}{f.name}.")
+
+
+def _value(message: Any, path: str) -> Any:
+    """A field by its path; None in a message that has no such part."""
+    for name in path.split("."):
+        message = None if message is None else getattr(message, name)
+    return message
 
 
 def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
@@ -186,8 +205,10 @@ def _row(value: Any) -> Array | None:
     return None
 
 
-def _rows(values: Sequence[Array]) -> Array:
-    return np.array(values, dtype=np.float64).reshape(len(values), -1)
+def _rows(values: Sequence[Array | None]) -> Array:
+    """Values as rows; NaN where there is none."""
+    width = max((len(value) for value in values if value is not None), default=4)
+    return np.array([np.full(width, np.nan) if value is None else value for value in values]).reshape(-1, width)
 
 
 def _gaps(gaps: Sequence[str]) -> tuple[str, ...]:

@@ -163,7 +163,10 @@ class Monitor:
 
 def _error_mm(state: RobotState) -> float | None:
     """Distance from the reference in the plane; None for a robot that follows none."""
-    return math.hypot(*(state.eta - state.eta_reference)[:2]) * 1e3 if state.mode is Mode.TRACKING else None
+    estimate, control = state.estimate, state.control
+    if state.mode is not Mode.TRACKING or estimate is None or control is None:
+        return None
+    return math.hypot(*(estimate.eta - control.eta_reference)[:2]) * 1e3
 
 
 def _error(state: RobotState) -> str:
@@ -180,8 +183,8 @@ def _cells(state: RobotState) -> tuple[str, ...]:
         state.mode.name.lower(),
         _error(state),
         state.track.name.lower(),
-        f"{state.pose_age_ms:.0f} ms" if state.pose_age_ms < 1e5 else "never",
-        f"{state.step_us:.0f} us",
-        f"{state.battery_v:.1f} V",
+        f"{state.timing.pose_age_ms:.0f} ms" if state.timing.pose_age_ms < 1e5 else "never",
+        f"{state.timing.step_us:.0f} us",
+        f"{state.board.battery_v if state.board is not None else 0.0:.1f} V",
         state.fault,
     )

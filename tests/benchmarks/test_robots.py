@@ -21,7 +21,7 @@ from benchmarks.robots.water import TrueState
 from groundstation.planning import planner
 from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import Mode, Order, required
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 
 pytestmark = pytest.mark.long
@@ -58,11 +58,11 @@ def test_figures_are_those_of_the_plant_on_a_circle() -> None:
     assert result.rms_m == pytest.approx(math.sqrt(np.mean(off_m[200:] ** 2 + (track[200:flown, 2] - 1.0) ** 2)), abs=2e-5)
     assert result.max_m == pytest.approx(off_m[200:].max(), abs=2e-5)
     assert result.settled_s == pytest.approx(time_s[np.flatnonzero(off_m > 0.05)[-1] + 1])
-    place = fleet.robots[0].states[-1].eta_reference[:2]
+    place = required(fleet.robots[0].states[-1].control).eta_reference[:2]
     held_m = np.hypot(*(track[flown + 100 :, :2] - place).T)
     assert result.hold_m == held_m.max() > 0.0
     assert result.hold_rms_m == pytest.approx(math.sqrt(np.mean(held_m**2)))
-    wrench = np.array([state.wrench for state in fleet.robots[0].states[-len(track) :]])
+    wrench = np.array([required(state.control).wrench for state in fleet.robots[0].states[-len(track) :]])
     assert result.duty == pytest.approx(max(np.mean(np.abs(wrench), axis=0) / [6.0, 3.0, 0.5]))
     assert not result.is_stop and result.left == ""
     assert 0.0 < result.nees["place"] < 10.0 and set(result.nees) <= set(GROUPS)

@@ -8,7 +8,7 @@ import pytest
 
 from robot_agent.inputs import StampedPose
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import Mode, Order, required
 from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.closed_loop.dry_pool import DryPool
 
@@ -45,7 +45,7 @@ def test_the_pool_scene_is_flown_within_three_centimetres_and_smoothly(seed: int
         assert np.all(np.abs(error[400:, :3]) < 0.08)
     still = np.linalg.norm(pool.errors()[400:, :, :2] - settled[:, :, :2].mean(axis=(0, 1)), axis=2)
     assert still.max() < 0.08
-    steps = np.array([[s.wrench_step for s in robot.states[-500:]] for robot in pool.robots])
+    steps = np.array([[required(s.control).wrench_step for s in robot.states[-500:]] for robot in pool.robots])
     bound = np.array(pool.experiment.wrench_step)
     assert np.all(np.abs(steps) <= bound + 1e-9)
 
@@ -89,7 +89,7 @@ def test_a_board_that_disarmed_itself_is_not_armed_again_unasked() -> None:
     pool.run(1.0)
     assert pool.robots[0].agent.mode is Mode.FAULT
     assert pool.robots[0].states[-1].fault == "thruster board disarmed"
-    assert not any(state.board_armed for state in pool.robots[0].states[-15:])
+    assert not any(required(state.board).armed for state in pool.robots[0].states[-15:])
 
 
 def test_a_board_that_missed_the_first_request_to_arm_arms_at_a_later_one() -> None:
@@ -107,8 +107,8 @@ def test_a_board_that_missed_the_first_request_to_arm_arms_at_a_later_one() -> N
     pool.run(3.0)
     assert len(requests) > 1
     for robot in pool.robots:
-        assert (robot.states[-1].mode, robot.states[-1].board_armed) == (Mode.TRACKING, True)
-        assert robot.states[-1].trajectory_s > 1.0 and robot.states[-1].wrench.any()
+        assert (robot.states[-1].mode, required(robot.states[-1].board).armed) == (Mode.TRACKING, True)
+        assert robot.states[-1].trajectory_s > 1.0 and required(robot.states[-1].control).wrench.any()
 
 
 def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
@@ -124,7 +124,7 @@ def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
     there = pool.truth[-1][0]
     pool.run(3.0)
     assert pool.robots[0].agent.mode is Mode.HOLDING
-    assert pool.robots[0].states[-1].eta_reference[:3] == pytest.approx(there[:3], abs=0.05)
+    assert required(pool.robots[0].states[-1].control).eta_reference[:3] == pytest.approx(there[:3], abs=0.05)
     assert pool.truth[-1][0, :3] == pytest.approx(there[:3], abs=0.06)
 
 
@@ -167,15 +167,15 @@ def test_a_robot_that_was_off_its_path_flies_again_when_it_is_told_to() -> None:
     reached_s = states[-1].trajectory_s
     assert pool.order(Order.DISARM, 0).accepted
     pool.run(0.2)
-    assert not states[-1].board_armed
+    assert not required(states[-1].board).armed
     for order in (Order.LOAD, Order.ARM, Order.HOLD):
         reply = pool.order(order, 0)
         assert reply.accepted, reply.reason
     pool.run(0.3)
     assert pool.order(Order.START, 0, start_in_s=0.2, trajectory_s=reached_s).accepted
     pool.run(1.0)
-    assert (agent.mode, states[-1].fault, states[-1].board_armed) == (Mode.TRACKING, "", True)
-    assert states[-1].wrench.any()
+    assert (agent.mode, states[-1].fault, required(states[-1].board).armed) == (Mode.TRACKING, "", True)
+    assert required(states[-1].control).wrench.any()
 
 
 def test_thrust_does_not_come_back_unasked_however_late_poses_may_be() -> None:
@@ -223,7 +223,7 @@ def test_a_pose_outside_the_pool_is_none(place: dict[str, float]) -> None:
         pool.run(0.05)
         state = pool.robots[0].states[-1]
         modes.append(state.mode)
-        assert state.mode is Mode.FAULT or np.abs(state.eta[:2] - pool.truth[-1][0, :2]).max() < 0.05
+        assert state.mode is Mode.FAULT or np.abs(required(state.estimate).eta[:2] - pool.truth[-1][0, :2]).max() < 0.05
     assert modes[:3] == [Mode.TRACKING] * 3 and modes[4] is Mode.HOLDING and modes[10:] == [Mode.FAULT] * 10
 
 

@@ -10,7 +10,7 @@ from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
-from shoal.messages.messages import Mode, Solve
+from shoal.messages.messages import Mode, Solve, required
 from tests.closed_loop.numeric import flown
 
 pytestmark = pytest.mark.long
@@ -29,7 +29,9 @@ def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str
     limits = flown_.experiment.vehicle.limits
     limit, step = np.array(limits.wrench), np.array(limits.wrench_step(0.05))
     wrench, change, wanted = (_of(flown_, key) for key in ("wrench", "wrench_step", "wrench_wanted"))
-    assert all(s.mode is Mode.TRACKING and s.solve is Solve.SOLVED for states in flown_.states for s in states)
+    assert all(
+        s.mode is Mode.TRACKING and required(s.control).solve is Solve.SOLVED for states in flown_.states for s in states
+    )
     assert np.all(np.abs(wrench) <= limit) and np.all(np.abs(change) <= step + 1e-12)
     assert np.abs(flown_.error[400:, :, :3]).max() < 0.12
     np.testing.assert_allclose(np.diff(wrench, axis=1), change[:, 1:], atol=1e-12)

@@ -7,7 +7,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.mission.timetable import START_IN_S
 from groundstation.planning.segment import sample
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import Mode, Order, required
 from sim_bridge.fault_schedule import ActuatorFaults
 from tests.closed_loop.crewed_pool import CrewedPool
 
@@ -172,7 +172,10 @@ def test_a_formation_goes_round_what_comes_to_lie_on_its_path() -> None:
     position, velocity, acceleration = jumps(pool, begin, len(pool.references))
     assert position < 1e-4 and velocity < 1e-4 and acceleration < 0.015
     for robot in pool.robots:
-        assert max(np.hypot(*(s.eta - s.eta_reference)[:2]) for s in robot.states[begin:]) < 0.04
+        assert (
+            max(np.hypot(*(required(s.estimate).eta - required(s.control).eta_reference)[:2]) for s in robot.states[begin:])
+            < 0.04
+        )
 
 
 def test_where_there_is_no_way_round_it_holds_says_why_and_goes_on_when_it_is_clear() -> None:
@@ -214,7 +217,10 @@ def lagging(*settings: str) -> tuple[CrewedPool, float]:
     pool.world.faults.actuators = ActuatorFaults(thrust, healthy.sag_v)
     begin = len(pool.truth)
     pool.run(14.0)
-    return pool, max(float(np.hypot(*(s.eta - s.eta_reference)[:2])) for s in pool.robots[1].states[begin:])
+    return pool, max(
+        float(np.hypot(*(required(s.estimate).eta - required(s.control).eta_reference)[:2]))
+        for s in pool.robots[1].states[begin:]
+    )
 
 
 @pytest.mark.slow
@@ -276,7 +282,15 @@ def test_those_who_held_for_a_lost_robot_go_on_past_it_when_asked() -> None:
     assert {pool.robots[i].states[-1].mode for i in (0, 2)} == {Mode.TRACKING}
     assert pool.separation_m(begin) > 0.5
     for i in (0, 2):
-        assert np.hypot(*(pool.robots[i].states[-1].eta - pool.robots[i].states[-1].eta_reference)[:2]) < 0.15
+        assert (
+            np.hypot(
+                *(
+                    required(pool.robots[i].states[-1].estimate).eta
+                    - required(pool.robots[i].states[-1].control).eta_reference
+                )[:2]
+            )
+            < 0.15
+        )
 
 
 @pytest.mark.slow
@@ -303,7 +317,9 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
     apart = [float(np.linalg.norm(goal[a, :2] - goal[b, :2])) for a, b in ((0, 1), (0, 2), (1, 2))]
     assert apart == pytest.approx([0.9] * 3, abs=0.01)  # the triangle is whole again
     for robot in pool.robots:
-        assert np.hypot(*(robot.states[-1].eta - robot.states[-1].eta_reference)[:2]) < 0.15
+        assert (
+            np.hypot(*(required(robot.states[-1].estimate).eta - required(robot.states[-1].control).eta_reference)[:2]) < 0.15
+        )
 
 
 def test_thrusters_are_tested_on_request_and_a_test_may_be_made_a_condition() -> None:

@@ -15,7 +15,7 @@ from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
-from shoal.messages.messages import Mode, RobotState, Solve
+from shoal.messages.messages import Mode, RobotState, Solve, required
 from sim_bridge.in_process.fleet import fly
 from tests.closed_loop.numeric import flown
 from tests.planted import executed, installed, plant
@@ -83,7 +83,9 @@ def test_a_formation_that_turns_with_its_path_is_tracked_too() -> None:
 def late_errors(*settings: str) -> tuple[float, Array]:
     """Figure of eight after 20 s: RMS of the worse axis and robot, in m, and of the wrench's change per second, (3,)."""
     flight = flown("figure-eight", "duration_s=40", "sim.plant.step_s=0.01", *settings)
-    change = np.array([[state.wrench_step for state in states[flight.settled :]] for states in flight.states])
+    change = np.array(
+        [[required(state.control).wrench_step for state in states[flight.settled :]] for states in flight.states]
+    )
     rate = np.sqrt(np.mean((change / flight.experiment.controller.period_s) ** 2, axis=1))
     return float(np.sqrt(np.mean(flight.error[flight.settled :, :, :2] ** 2, axis=0)).max()), rate.max(axis=0)
 
@@ -103,7 +105,7 @@ def test_inputs_keep_their_limits_and_every_step_is_solved(name: str) -> None:
     flight = flown(name, "duration_s=35")
     limits = flight.experiment.vehicle.limits
     for states in flight.states:
-        assert all(state.solve is Solve.SOLVED and state.mode is Mode.TRACKING for state in states)
+        assert all(required(state.control).solve is Solve.SOLVED and state.mode is Mode.TRACKING for state in states)
         wrench, steps = (np.array([getattr(s, key) for s in states]) for key in ("wrench", "wrench_step"))
         assert np.all(np.abs(wrench) <= np.array(limits.wrench) + 1e-12)
         assert np.all(np.abs(steps) <= np.array(flight.experiment.wrench_step) + 1e-12)
@@ -121,9 +123,9 @@ def test_time_zero_is_the_scene_s_start_at_rest() -> None:
     np.testing.assert_allclose(flight.error[0], starts - first, atol=1e-12)
     for states, start in zip(flight.states, starts, strict=True):
         assert states[0].trajectory_s == 0.0 and states[1].trajectory_s == pytest.approx(0.05)
-        np.testing.assert_allclose(states[0].eta, start, atol=1e-9)
-        np.testing.assert_allclose(states[0].nu, 0.0, atol=1e-9)
-        np.testing.assert_allclose(states[0].disturbance, 0.0, atol=1e-9)
+        np.testing.assert_allclose(required(states[0].estimate).eta, start, atol=1e-9)
+        np.testing.assert_allclose(required(states[0].estimate).nu, 0.0, atol=1e-9)
+        np.testing.assert_allclose(required(states[0].estimate).disturbance, 0.0, atol=1e-9)
     assert len(flight.error) == 35 / 0.05 + 1
 
 
@@ -134,7 +136,10 @@ def test_the_same_seed_flies_the_same_bits_and_another_does_not() -> None:
         fleet, water = prepared(experiment)
         fleet.start()
         sent = [message for *_, message, _ in fly(fleet, water) if isinstance(message, RobotState)]
-        return b"".join(s.eta.tobytes() + s.wrench.tobytes() + bytes(str(s.pulse_us), "ascii") for s in sent)
+        return b"".join(
+            required(s.estimate).eta.tobytes() + required(s.control).wrench.tobytes() + bytes(str(s.pulse_us), "ascii")
+            for s in sent
+        )
 
     assert run(1) == run(1) != run(2)
 

@@ -15,7 +15,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
 from shoal.messages.codec import Header
 from shoal.messages.live_gains import tunable_parameters, tuning
-from shoal.messages.messages import Command, Mode, Order, Reply, RobotState
+from shoal.messages.messages import Command, Mode, Order, Reply, RobotState, required
 from tests.closed_loop.dry_pool import DryPool
 
 pytestmark = pytest.mark.long
@@ -109,7 +109,7 @@ def ids(lab: TuningLab) -> list[set[str]]:
 
 
 def wrenches(states: list[RobotState]) -> Array:
-    return np.array([state.wrench for state in states])
+    return np.array([required(state.control).wrench for state in states])
 
 
 def until(lab: TuningLab, done: Callable[[], bool], within_s: float) -> None:
@@ -226,7 +226,7 @@ def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> No
     assert abs(laps[0].time_s - 25.0) < 0.2 and abs(laps[1].time_s + laps[2].time_s - 25.0) < 0.2
     for lap in laps:
         errors = [
-            np.linalg.norm(state.eta[:3] - state.eta_reference[:3])
+            np.linalg.norm(required(state.estimate).eta[:3] - required(state.control).eta_reference[:3])
             for robot in (0, 1)
             for state in lab.states(robot)
             if state.trajectory_s // 25.0 == lap.number - 1 and state.tuning_id == lap.tuning_id and state.trajectory_s > 0.0

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import Mode, Order, required
 from tests.faults.onlooker import Heard, Stuck
 from tests.faults.patched import DEAF_ROBOT, START_LATE, SWITCH_LOST
 from tests.faults.rig import Rig
@@ -142,9 +142,9 @@ def switch_partial(rig: Rig, random: Random) -> Sample:
 
 def _off_shape_m(rig: Rig, one: int, other: int, ns: int) -> float:
     """By how much the distance of two robots' references is another than before, at most, while both track."""
-    theirs = {h.ns: h.state.eta_reference[:2] for h in rig.since(other, ns) if _tracks(h)}
+    theirs = {h.ns: required(h.state.control).eta_reference[:2] for h in rig.since(other, ns) if _tracks(h)}
     apart_m = [
-        float(np.linalg.norm(h.state.eta_reference[:2] - theirs[min(theirs, key=lambda at: abs(at - h.ns))]))
+        float(np.linalg.norm(required(h.state.control).eta_reference[:2] - theirs[min(theirs, key=lambda at: abs(at - h.ns))]))
         for h in rig.since(one, ns)
         if _tracks(h) and theirs
     ]

@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from benchmarks.robot_agent.thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
-from shoal.messages.messages import Mode, Order, Solve
+from shoal.messages.messages import Mode, Order, Solve, required
 from tests.faults.rig import Rig
 from tests.faults.row import OFF, POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries
@@ -26,7 +26,7 @@ def agent_killed(rig: Rig, random: Random) -> Sample:
     begin_ns = time.monotonic_ns()
     rig.wait(lambda: any(True for _ in rig.since(robot, begin_ns)), "restarted agent heard")
     time.sleep(0.3)
-    armed = any(h.state.mode is not Mode.DISARMED or h.state.board_armed for h in rig.since(robot, begin_ns))
+    armed = any(h.state.mode is not Mode.DISARMED or required(h.state.board).armed for h in rig.since(robot, begin_ns))
     return {"neutral": neutral_s, "restarted and not disarmed": float(armed)}
 
 
@@ -91,7 +91,7 @@ def solver_unsolved(rig: Rig, random: Random) -> Sample:
     robot = int(random.choice(rig.robots))
     ns = rig.signal(f"agent-{robot}", signal.SIGALRM)
     neutral_s = rig.neutral_s(ns, [robot])
-    shifted = sum(h.state.solve is Solve.SHIFTED for h in rig.since(robot, ns))
+    shifted = sum(required(h.state.control).solve is Solve.SHIFTED for h in rig.since(robot, ns))
     rig.signal(f"agent-{robot}", signal.SIGKILL)
     rig.restart(f"agent-{robot}")
     return {"neutral": neutral_s, "shifted plans": float(shifted)}
@@ -117,8 +117,8 @@ def link_garbage(rig: Rig, random: Random) -> Sample:
     wire.trouble = LineTrouble()
     ns = time.monotonic_ns()
     rig.wait(lambda: any(at > ns for at, _ in board.taken[-5:]), "board takes overrides again", 5.0)
-    rig.wait(lambda: any(h.state.board_age_ms < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
-    heard_ns = next(h.ns for h in rig.since(robot, ns) if h.state.board_age_ms < 40.0)
+    rig.wait(lambda: any(h.state.timing.board_age_ms < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
+    heard_ns = next(h.ns for h in rig.since(robot, ns) if h.state.timing.board_age_ms < 40.0)
     return {
         "board in step again": (next(at for at, _ in board.taken if at > ns) - ns) * 1e-9,
         "agent in step again": (heard_ns - ns) * 1e-9,
@@ -152,8 +152,8 @@ def thruster_broken(rig: Rig, random: Random) -> Sample:
         time.sleep(0.05)
         state = rig.states[robot][-1].state
         if state.mode in POWERED:
-            off_m = max(off_m, float(np.hypot(*(state.eta - rig.truth.eta[i])[:2])))
-            astray_m = max(astray_m, float(np.hypot(*(state.eta_reference - rig.truth.eta[i])[:2])))
+            off_m = max(off_m, float(np.hypot(*(required(state.estimate).eta - rig.truth.eta[i])[:2])))
+            astray_m = max(astray_m, float(np.hypot(*(required(state.control).eta_reference - rig.truth.eta[i])[:2])))
     figures = {"estimate off the truth": off_m, "off its path": astray_m}
     if rig.mode(robot) not in POWERED:
         flagged_s = rig.alert_s(ns, "fault (")  # what the station says of it; others may warn of other things

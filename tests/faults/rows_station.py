@@ -146,7 +146,7 @@ def _another_station(rig: Rig) -> None:
 
 def flood(rig: Rig, random: Random) -> Sample:
     seed = str(int(random.integers(1 << 30)))
-    before = {r: rig.states[r][-1].state.missed_deadlines for r in rig.robots}
+    before = {r: rig.states[r][-1].state.timing.missed_deadlines for r in rig.robots}
     ns = time.monotonic_ns()
     flooder = rig.children.start("flood", "tests.faults.flooding", [rig.address, seed, str(rig.robots[-1])])
     time.sleep(10.0)
@@ -154,7 +154,7 @@ def flood(rig: Rig, random: Random) -> Sample:
     flooder.process.wait()
     rig.children.all.remove(flooder)
     steps = sum(len(list(rig.since(r, ns))) for r in rig.robots)
-    missed = sum(rig.states[r][-1].state.missed_deadlines - before[r] for r in rig.robots)
+    missed = sum(rig.states[r][-1].state.timing.missed_deadlines - before[r] for r in rig.robots)
     return {
         "share of deadlines missed": missed / max(steps, 1),
         LEFT: left(rig, ns),

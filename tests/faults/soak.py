@@ -171,7 +171,7 @@ def real_time(hours: float, seed: int, watch: Watch, say: Callable[[str], None])
 def _latency_ms(rig: Rig) -> float:
     """Median from exposure to pulses, of the last 200 states of every robot that tracked."""
     recent = [report.state for states in rig.states.values() for report in list(states)[-200:]]
-    return float(np.median([s.exposure_to_pwm_ms for s in recent if s.mode is Mode.TRACKING]))
+    return float(np.median([s.timing.exposure_to_pwm_ms for s in recent if s.mode is Mode.TRACKING]))
 
 
 # --- by the simulator's clock

@@ -14,6 +14,9 @@ from shoal.frames import Array, wrap
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import (
+    BoardReading,
+    Control,
+    Estimate,
     Event,
     LocalizerStatus,
     Message,
@@ -22,8 +25,10 @@ from shoal.messages.messages import (
     RobotState,
     Solve,
     StationHeartbeat,
+    StepTiming,
     Track,
     Truth,
+    required,
 )
 from shoal.messages.topics import Topic
 
@@ -161,23 +166,26 @@ def _state(script: Script, robot: int, k: int, since_s: float, true: Array, traj
         fault=fault,
         trajectory_s=clock_s,
         trajectory_id=trajectory.id,
-        eta=true + np.array([*POSE_OFFSET_M, 0.0, 0.0]),
-        eta_reference=trajectory.eta[min(round(clock_s / PERIOD_S), len(trajectory.eta) - 1)],
-        eta_command=true - [0.0, 0.0, 0.0, COMMAND_OFFSET_RAD],
-        disturbance=np.array([0.03, 0.01, 0.0, 0.05]),
-        wrench=np.array([0.3 * np.sin(since_s), 0.2, 0.05 * np.cos(since_s)]),
-        wrench_step=np.array([0.03 * swing, 0.01, 0.02 * robot]),
         pulse_us=tuple(
             round(v) for v in (1560 + 10 * swing, 1560 + 10 * swing, 1440 - 10 * swing, 1440, 1500, 1500, 1510, 1490)
         ),
-        echo_us=(1550, 1550, 1450, 1440, 1500, 1500, 1510, 1490),
-        exposure_to_pwm_ms=30.0 + k % 10,
-        depth_m=0.3,
-        battery_v=12.2,
-        board_armed=mode is Mode.TRACKING,
-        solve=Solve.SOLVED,
-        iterations=10 + k % 5,
-        step_us=200.0 + k % 100,
-        missed_deadlines=script.missed(robot, since_s),
+        estimate=Estimate(eta=true + np.array([*POSE_OFFSET_M, 0.0, 0.0]), disturbance=np.array([0.03, 0.01, 0.0, 0.05])),
+        control=Control(
+            eta_reference=trajectory.eta[min(round(clock_s / PERIOD_S), len(trajectory.eta) - 1)],
+            eta_command=true - [0.0, 0.0, 0.0, COMMAND_OFFSET_RAD],
+            wrench=np.array([0.3 * np.sin(since_s), 0.2, 0.05 * np.cos(since_s)]),
+            wrench_step=np.array([0.03 * swing, 0.01, 0.02 * robot]),
+            solve=Solve.SOLVED,
+            iterations=10 + k % 5,
+        ),
+        board=BoardReading(
+            echo_us=(1550, 1550, 1450, 1440, 1500, 1500, 1510, 1490), depth_m=0.3, battery_v=12.2, armed=mode is Mode.TRACKING
+        ),
+        timing=StepTiming(
+            exposure_to_pwm_ms=30.0 + k % 10, step_us=200.0 + k % 100, missed_deadlines=script.missed(robot, since_s)
+        ),
     )
-    return state if mode is Mode.TRACKING else replace(state, wrench_step=np.array([9.0, 9.0, 9.0]), pulse_us=(1500,) * 8)
+    if mode is Mode.TRACKING:
+        return state
+    control = replace(required(state.control), wrench_step=np.array([9.0, 9.0, 9.0]))
+    return replace(state, control=control, pulse_us=(1500,) * 8)

@@ -11,7 +11,7 @@ from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import Mode, Plan, Pose, RobotState, Track
+from shoal.messages.messages import BoardReading, Mode, Plan, Pose, RobotState, StepTiming, Track
 
 MS = 1_000_000
 
@@ -34,25 +34,36 @@ def test_only_missing_sequence_numbers_count_as_lost(lost: tuple[int, ...], shar
 def test_message_ages_are_judged_by_the_experiments_limits(limit: str, key: str, age_s: float) -> None:
     """At a lower rate an experiment allows more; the station must not bar what the robots would fly with."""
     view = RobotView(
-        RobotState(mode=Mode.HOLDING, battery_v=16.0), 0.02, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True, 1.0, 0.0),
-        age_s, age_s,
+        RobotState(mode=Mode.HOLDING, board=BoardReading(battery_v=16.0)), 0.02,
+        Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True, 1.0, 0.0), age_s, age_s,
     )  # fmt: skip
     for limit_s, is_alarm in ((age_s - 0.1, True), (age_s + 0.1, False)):
         experiment = load_experiment("pool", [f"safety.{limit}={limit_s}", "safety.pose_neutral_s=0.9"])
         assert (key in [finding.key for finding in findings(experiment, 1, view)]) is is_alarm
 
 
+UNHEARD_BATTERY = RobotState(timing=StepTiming(board_age_ms=20.0), board=BoardReading())
+
+
 def test_an_unheard_battery_is_not_reported_empty() -> None:
     experiment = load_experiment("pool")
-    alarms_by_key = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0), 0.02))}
+    alarms_by_key = {f.key: f for f in findings(experiment, 1, RobotView(UNHEARD_BATTERY, 0.02))}
     assert (alarms_by_key["battery"].text, alarms_by_key["battery"].blocks_arming) == ("battery not heard yet", True)
-    low = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0, battery_v=9.0), 0.02))}
+    low = {
+        f.key: f
+        for f in findings(
+            experiment, 1, RobotView(RobotState(timing=StepTiming(board_age_ms=20.0), board=BoardReading(battery_v=9.0)), 0.02)
+        )
+    }
     assert low["battery"].text == "battery 9.0 V, needs 10.5 V"
 
 
-@pytest.mark.parametrize(("age_ms", "text"), [(2500.0, "thruster board silent for 2.5 s"), (1e6, "thruster board not heard")])
-def test_a_board_never_heard_is_reported_without_an_age(age_ms: float, text: str) -> None:
-    view = RobotView(RobotState(board_age_ms=age_ms), 0.02, None, 0.02)
+@pytest.mark.parametrize(
+    ("age_ms", "board", "text"),
+    [(2500.0, BoardReading(5), "thruster board silent for 2.5 s"), (1e6, None, "thruster board not heard")],
+)
+def test_a_board_never_heard_is_reported_without_an_age(age_ms: float, board: BoardReading | None, text: str) -> None:
+    view = RobotView(RobotState(timing=StepTiming(board_age_ms=age_ms), board=board), 0.02, None, 0.02)
     assert text in [finding.text for finding in findings(load_experiment("pool"), 1, view)]
 
 

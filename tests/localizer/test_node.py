@@ -31,7 +31,18 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
-from shoal.messages.messages import CameraHealth, Frame, LocalizerStatus, Obstacles, Pose, Preview, RobotState, Tick, Track
+from shoal.messages.messages import (
+    BoardReading,
+    CameraHealth,
+    Frame,
+    LocalizerStatus,
+    Obstacles,
+    Pose,
+    Preview,
+    RobotState,
+    Tick,
+    Track,
+)
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Clock, Failed, Stop, WallClock, log
 from shoal.runtime.version import code
@@ -307,7 +318,7 @@ def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[.
     for stamp_ns, depth_m, roll_rad in ((80 * MS, 0.31, 0.1), (130 * MS, 0.35, -0.3)):
         for robot in ETA:
             tilt = np.array([roll_rad, 0.0, 0.5, 0.0])
-            bus.publish(topics.STATE, RobotState(depth_m=depth_m, tilt=tilt), stamp_ns, robot)
+            bus.publish(topics.STATE, RobotState(board=BoardReading(depth_m=depth_m, tilt=tilt)), stamp_ns, robot)
     statuses = bus.inbox(topics.LOCALIZER, LocalizerStatus)
     for frame_ns in (0, 100 * MS):
         bus.publish(topics.FRAME, Frame(scene.frame(ETA)), frame_ns)

@@ -16,7 +16,10 @@ from groundstation.planning import planner
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.messages import (
+    BoardReading,
     CameraHealth,
+    Control,
+    Estimate,
     Event,
     Guidance,
     LocalizerStatus,
@@ -24,6 +27,7 @@ from shoal.messages.messages import (
     Order,
     Preview,
     RobotState,
+    StepTiming,
     Trajectory,
 )
 from tests.page.elements import answer, button, map_of, tile
@@ -183,21 +187,25 @@ def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp
 def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as desk:
         page = desk.page
-        page.goto(f"{desk.url}?plots=battery,state.nu.0&robot=2")
+        page.goto(f"{desk.url}?plots=battery,state.estimate.nu.0&robot=2")
         expect(page.get_by_label("What plot 1 shows")).to_have_value("battery")
-        expect(page.get_by_label("What plot 2 shows")).to_have_value("state.nu.0")
+        expect(page.get_by_label("What plot 2 shows")).to_have_value("state.estimate.nu.0")
         expect(tile(page, 2)).to_have_class(re.compile("chosen"))
         for _ in range(8):
             state = RobotState(
-                mode=Mode.TRACKING, guidance=Guidance.GIVING_WAY, nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5,
-                drag_ratio=1.32, thrust_ratio=0.75,
-            )  # fmt: skip
+                mode=Mode.TRACKING,
+                guidance=Guidance.GIVING_WAY,
+                estimate=Estimate(nu=np.array([0.25, 0.0, 0.0, 0.0]), drag_ratio=1.32, thrust_ratio=0.75),
+                board=BoardReading(loss=0.5),
+            )
             desk.robots.publish(topics.STATE, state, time.time_ns(), 1)
             page.wait_for_timeout(120)
         expect(tile(page, 1)).to_contain_text("× 1.32, 0.75")
         expect(tile(page, 1)).to_contain_text("tracking, giving way")
         held = RobotState(
-            mode=Mode.HOLDING, eta=np.array([1.0, 0.0, 0.3, 0.0]), eta_reference=np.array([0.97, 0.04, 0.3, 0.0])
+            mode=Mode.HOLDING,
+            estimate=Estimate(eta=np.array([1.0, 0.0, 0.3, 0.0])),
+            control=Control(eta_reference=np.array([0.97, 0.04, 0.3, 0.0])),
         )
         desk.robots.publish(topics.STATE, held, time.time_ns(), 2)
         expect(tile(page, 2)).to_contain_text("from its place50 mm")
@@ -211,7 +219,7 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         page.goto(f"{desk.url}?plots=tracking")
         page.get_by_label("Layouts of the plots").select_option("=mine")
         expect(page.get_by_label("What plot 3 shows")).to_have_value("state.loss")
-        desk.robots.publish(topics.STATE, RobotState(board_loss=0.25), time.time_ns(), 1)
+        desk.robots.publish(topics.STATE, RobotState(board=BoardReading(loss=0.25)), time.time_ns(), 1)
         expect(tile(page, 1)).to_contain_text("25 %")
         expect(tile(page, 1)).not_to_contain_text("thrust")  # it learns nothing
 
@@ -225,7 +233,12 @@ def test_a_curve_ends_where_its_robot_or_the_localizer_falls_silent(browser: Bro
         expect(tile(page, 1)).to_be_visible()
 
         def say(robot: int) -> None:
-            state = RobotState(mode=Mode.TRACKING, eta=off, eta_reference=here, disturbance=off, exposure_to_pwm_ms=40.0)
+            state = RobotState(
+                mode=Mode.TRACKING,
+                estimate=Estimate(eta=off, disturbance=off),
+                control=Control(eta_reference=here),
+                timing=StepTiming(exposure_to_pwm_ms=40.0),
+            )
             desk.robots.publish(topics.STATE, state, time.time_ns(), robot)
 
         def read(plot: int, curve: str) -> str:

@@ -11,7 +11,7 @@ from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs
 from robot_agent.preflight.rehearsal import ARM_AFTER, rehearse
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode, Solve
+from shoal.messages.messages import Control, Mode, Solve, is_finite, required
 
 NEUTRAL_US = (1500,) * 4
 POOL = load_experiment("pool")
@@ -29,11 +29,11 @@ def flying() -> tuple[Agent, Inputs, int]:
 @pytest.mark.parametrize(
     "broken",
     [
-        {"wrench": np.array([np.nan, 0.0, 0.0])},
-        {"wrench_step": np.array([0.0, np.inf, 0.0])},
+        {"control": Control(wrench=np.array([np.nan, 0.0, 0.0]))},
+        {"control": Control(wrench_step=np.array([0.0, np.inf, 0.0]))},
         {"plan_eta": np.full((51, 4), np.nan)},
         {"tracking_error_m": float("nan")},
-        {"slack_m": float("inf")},
+        {"control": Control(slack_m=float("inf"))},
         {"pulse_us": (1901, *[1500] * 7)},
         {"pulse_us": (1099, *[1500] * 7)},
         {"pulse_us": (*[1500] * 7, 2001)},
@@ -47,8 +47,8 @@ def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pyte
     real = controller.step
     monkeypatch.setattr(controller, "step", lambda *arguments: real(*arguments)._replace(**broken))
     outputs = agent.step(inputs, now_ns)
-    assert (outputs.pulse_us[:4], outputs.state.solve, outputs.plan) == (NEUTRAL_US, Solve.FAILED, None)
-    assert all(np.isfinite(value).all() for value in vars(outputs.state).values() if isinstance(value, np.ndarray | float))
+    assert (outputs.pulse_us[:4], required(outputs.state.control).solve, outputs.plan) == (NEUTRAL_US, Solve.FAILED, None)
+    assert outputs.state.estimate is None and is_finite(outputs.state.control) and is_finite(outputs.state.timing)
     monkeypatch.undo()
     outputs = agent.step(inputs, now_ns + 50_000_000)
     assert (outputs.state.mode, outputs.state.fault) == (Mode.FAULT, "no control solution")
@@ -62,4 +62,6 @@ def test_a_depth_offset_is_taken_off_everywhere() -> None:
     for agent, inputs, now_ns in itertools.islice(rehearse(corrected, 1), ARM_AFTER):
         high = replace(inputs, telemetry=replace(inputs.telemetry, depth_m=true_m + 0.02))
         states.append(agent.step(high, now_ns).state)
-    assert states[-1].depth_m == pytest.approx(true_m) and states[-1].eta[2] == pytest.approx(true_m)
+    assert required(states[-1].board).depth_m == pytest.approx(true_m) and required(states[-1].estimate).eta[
+        2
+    ] == pytest.approx(true_m)

@@ -164,7 +164,7 @@ def test_a_step_that_waits_is_as_late_as_one_that_computes(running: Running, mon
     monkeypatch.setattr(NonlinearController, "step", waiting)
     assert running.until(lambda: running.state.mode is Mode.FAULT)
     assert running.state.fault == "control too slow"
-    assert running.state.missed_deadlines >= 3
+    assert running.state.timing.missed_deadlines >= 3
 
 
 def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:

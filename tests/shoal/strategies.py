@@ -27,9 +27,9 @@ floats = st.floats(-codec.LARGEST, codec.LARGEST)
 
 
 def nested(hint: Any) -> Any:
-    """The message class of an optional field, else None."""
-    parts = get_args(hint) if get_origin(hint) is types.UnionType else ()
-    return next((part for part in parts if part is not types.NoneType), None)
+    """The message class of a field that holds one, or may; else None."""
+    parts = get_args(hint) if get_origin(hint) is types.UnionType else (hint,)
+    return next((part for part in parts if dataclasses.is_dataclass(part)), None)
 
 
 def _field(hint: Any, field: dataclasses.Field[Any], kind: int, rows: int) -> st.SearchStrategy[Any]:
@@ -39,7 +39,7 @@ def _field(hint: Any, field: dataclasses.Field[Any], kind: int, rows: int) -> st
     if field.metadata.get("positive"):
         return st.floats(0.0, codec.LARGEST, exclude_min=True)
     if nested(hint) is not None:
-        return st.none() | valid(nested(hint))
+        return valid(hint) if nested(hint) is hint else st.none() | valid(nested(hint))
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
         return st.sampled_from(hint)
     simple: dict[Any, st.SearchStrategy[Any]] = {float: floats, bool: st.booleans(), str: st.text()}

@@ -4,7 +4,7 @@ import numpy as np
 
 from robot_agent.agent import Agent
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import ALONE, Mode, RobotState
+from shoal.messages.messages import ALONE, Estimate, Mode, RobotState
 from sim_bridge.in_process.resume import RobotHistory, resume
 
 
@@ -12,7 +12,9 @@ def test_the_moment_is_the_formations_and_not_that_of_a_robot_sent_elsewhere_alo
     """Faults that come later count from the formation's start."""
     experiment = load_experiment("pool")
     states = [
-        RobotState(Mode.TRACKING, trajectory_id=name, trajectory_s=flown_s, eta=np.array([x_m, 0.0, 0.5, 0.0]))
+        RobotState(
+            Mode.TRACKING, trajectory_id=name, trajectory_s=flown_s, estimate=Estimate(eta=np.array([x_m, 0.0, 0.5, 0.0]))
+        )
         for name, flown_s, x_m in (("p1", 3.0, 0.5), (f"{ALONE}x", 20.0, -0.5))
     ]
     memories = [

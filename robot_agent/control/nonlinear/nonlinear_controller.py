@@ -38,13 +38,13 @@ from robot_agent.guidance.obstacles import Obstacle, is_inside
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
 from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model, flow_moment_nm
-from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
 from shoal.config.controller import ControllerConfig, Safety
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
-from shoal.messages.messages import Solve
+from shoal.messages.messages import Control, Solve
 
 TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
 GAINS_S = 1.0  # time constant of the weights,
@@ -167,13 +167,13 @@ class NonlinearController:
         self._off_m = math.hypot(*(reference.eta[0, :2] - estimate.eta[:2]).tolist())
         return self._put_out(estimate, reference, lead, iteration, dive, now_ns)
 
-    def _lift(self, measurement: StateMeasurement, estimate: Estimate) -> float:
+    def _lift(self, measurement: StateMeasurement, estimate: Observation) -> float:
         """Force upwards of the thrust of a tilted hull, N: ahead on a bow that points up, sideways on a side that does."""
         tilts_rad = (measurement.pitch_rad, measurement.roll_rad)
         pitch, roll = (min(max(rad, -STEEPEST_RAD), STEEPEST_RAD) if math.isfinite(rad) else 0.0 for rad in tilts_rad)
         return float(estimate.action.item(8) * math.sin(pitch) - estimate.action.item(11) * math.sin(roll))
 
-    def _take_up(self, goal: Goal, estimate: Estimate) -> None:
+    def _take_up(self, goal: Goal, estimate: Observation) -> None:
         """Begin a plan anew at a goal of another kind, and when the estimate has leapt."""
         before, self.goal = self.goal, goal
         is_other = type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal)
@@ -184,13 +184,13 @@ class NonlinearController:
             self._planner.forget()
             self._turns.reset()
 
-    def _dynamics(self, estimate: Estimate) -> Dynamics:
+    def _dynamics(self, estimate: Observation) -> Dynamics:
         """The model with what the observer knows by now."""
         current, own = estimate.current, estimate.own_force.tolist()
         hull = tunings.planar_hull(self._model.coefficients, self._model.sway, self._model.lag_s, self._step_s)
         return Dynamics(hull, Surroundings(current.real, current.imag, *own))
 
-    def _retune(self, estimate: Estimate) -> None:
+    def _retune(self, estimate: Observation) -> None:
         """Follow the bandwidths that noise and error allow."""
         assert estimate.deviations is not None  # the configuration allows no observer without
         depth_radps = self._config.estimator.bandwidth_radps
@@ -205,7 +205,7 @@ class NonlinearController:
         self._calm_m = CALM * deviations.place_m
 
     def _surrounds(
-        self, predictions: NeighbourPredictions, obstacles: Sequence[Obstacle], estimate: Estimate, now_ns: int
+        self, predictions: NeighbourPredictions, obstacles: Sequence[Obstacle], estimate: Observation, now_ns: int
     ) -> Surrounds:
         """All that the plan keeps clear of."""
         here, bodies = complex(*estimate.action[:2].tolist()), NO_BODIES
@@ -255,7 +255,7 @@ class NonlinearController:
         assert self._tuning is not None
         return self._planner.step(dynamics, problem, self._tuning, math.inf if calm else TOLERANCE_M)
 
-    def _dive(self, estimate: Estimate, led: Reference) -> Iteration:
+    def _dive(self, estimate: Observation, led: Reference) -> Iteration:
         """One step of the plan of depth."""
         assert self._tuning is not None
         hull = tunings.depth_hull(self._model.nominal, self._model.lag_s, tunings.STEP_S)
@@ -273,7 +273,7 @@ class NonlinearController:
     # --- results
 
     def _put_out(
-        self, estimate: Estimate, reference: Reference, lead: Reference, iteration: Iteration, dive: Iteration, now_ns: int
+        self, estimate: Observation, reference: Reference, lead: Reference, iteration: Iteration, dive: Iteration, now_ns: int
     ) -> ControlOutput:
         """Convert the plans to pulses and output."""
         solved = iteration.rounds > 0 and dive.rounds > 0
@@ -290,34 +290,25 @@ class NonlinearController:
         command[3] = self._course.yaw[0]
         return ControlOutput(
             pulse_us=pulses,
-            wrench=wrench,
-            wrench_step=wrench_step,
-            wrench_wanted=wrench,
-            wrench_delivered=delivered,
-            estimated=True,
-            eta=estimate.eta,
-            nu=estimate.nu,
-            disturbance=estimate.gamma_still_water,
-            drag_ratio=estimate.drag_ratio,
-            thrust_ratio=estimate.thrust_ratio,
-            eta_reference=reference.eta[0].copy(),
-            eta_command=command,
+            observation=estimate,
+            control=Control(
+                eta_reference=reference.eta[0].copy(),
+                eta_command=command,
+                wrench=wrench,
+                wrench_step=wrench_step,
+                wrench_wanted=wrench,
+                wrench_delivered=delivered,
+                solve=Solve.FAILED if failed else Solve.SOLVED if solved else Solve.SHIFTED,
+                iterations=iteration.rounds,
+                slack_m=iteration.entry_m,
+            ),
             plan_eta=plan_eta,
             plan_reference=told_reference,
             tracking_error_m=error_m,
-            solve=Solve.FAILED if failed else Solve.SOLVED if solved else Solve.SHIFTED,
-            iterations=iteration.rounds,
-            slack_m=iteration.entry_m,
-            pose_age_s=estimate.pose_age_s,
-            depth_age_s=estimate.depth_age_s,
-            leap=estimate.leap,
-            depth_leap=estimate.depth_leap,
             is_free=lead is reference and not iteration.binds,
             path_is_blocked=self._give_way.path_is_blocked,
             flow_moment_nm=flow_moment_nm(self._model.coefficients, estimate.through_water),
             avoids=self._give_way.avoids or iteration.binds,
-            current=estimate.current,
-            deviations=estimate.deviations,
         )
 
     def _first_wrench(self, has_plan: bool, has_depth_plan: bool) -> Array:
@@ -334,7 +325,7 @@ class NonlinearController:
         change = np.clip(share * (wanted - self._wrench), -most, most)
         return np.clip(self._wrench + change, -np.array(limits.wrench), limits.wrench)
 
-    def _told(self, estimate: Estimate, lead: Reference) -> tuple[Array, Array]:
+    def _told(self, estimate: Observation, lead: Reference) -> tuple[Array, Array]:
         """The plan that is flown, from now on, and where it is meant to be; the reference has the plan's heading."""
         state, count = self._planner.flight.state, len(self._told_rows)
         rows = np.empty((len(state) + 2, 4))
@@ -346,21 +337,20 @@ class NonlinearController:
         reference[:, 3] = poses[:, 3]
         return poses, reference
 
-    def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
+    def _neutral(self, estimate: Observation | None, now_ns: int) -> ControlOutput:
         """Output with thrusters off. The plan is forgotten; neighbours are told where the robot drifts."""
         self._planner.forget()
         self._turns.reset()
         self._give_way.reset()
         self._depth.flight.command[:] = 0.0
         self.goal, self._place, self._off_m, self._shifted = None, None, 0.0, 0
-        wrench_step, self._lift_n = -self._wrench, 0.0
+        self._lift_n = 0.0
         self.note_command(self._still, self._still, now_ns)
         self._priority = Priority(self._urgent, 0.0)
-        if estimate is None:
-            return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, None, np.zeros((len(self._told_rows), 4)))
-        return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, estimate, self._drift_from(estimate))
+        drift = self._drift_from(estimate) if estimate is not None else np.zeros((len(self._told_rows), 4))
+        return ControlOutput(self.allocator.neutral_us, estimate, None, drift, drift)
 
-    def _drift_from(self, estimate: Estimate) -> Array:
+    def _drift_from(self, estimate: Observation) -> Array:
         """Poses of a robot without thrust, as they are told."""
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._still, self._axes)
         fly(dynamics, self._grid, start, self._drift)

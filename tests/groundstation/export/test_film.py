@@ -14,7 +14,7 @@ from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.camera_coverage import project
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Video
+from shoal.messages.messages import Control, Estimate, Mode, RobotState, StationHeartbeat, StepTiming, Video
 
 PICTURES, EVERY_NS = 12, 50_000_000
 
@@ -29,7 +29,12 @@ def test_a_film_has_every_picture_at_its_time_and_the_robot_in_it(tmp_path: Path
     eta = np.array([0.4, -0.3, 0.3, 0.0])
     for k in range(PICTURES):
         stamp_ns = 10**9 + k * EVERY_NS
-        state = RobotState(mode=Mode.TRACKING, eta=eta, eta_reference=eta, pose_age_ms=20.0)
+        state = RobotState(
+            mode=Mode.TRACKING,
+            estimate=Estimate(eta=eta),
+            control=Control(eta_reference=eta),
+            timing=StepTiming(pose_age_ms=20.0),
+        )
         for topic, key, message in (
             (topics.HEARTBEAT, "station/heartbeat", StationHeartbeat(mission="RUNNING", began_ns=10**9)),
             (topics.STATE, "robot/1/state", state),

@@ -8,7 +8,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
@@ -29,7 +29,8 @@ from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import encode
-from shoal.messages.messages import Obstacles, Plan, RobotState
+from shoal.messages.messages import Estimate, Obstacles, Plan, RobotState
+from shoal.messages.schema import nested_message
 from sim_bridge.lockstep.clock import LockstepClock
 from tests.groundstation.synthetic import Script, write_run
 
@@ -102,7 +103,7 @@ def test_hulls_are_drawn_where_robots_say_they_are(exported: tuple[Path, Path]) 
     for topic, message, decoded in messages(log_of(exported[1]), decoded=True):
         topic_and_robot = key_topic(topic)
         if topic_and_robot is not None and topic_and_robot[0] is topics.STATE:
-            etas[topic_and_robot[1]].append((message.log_time, decoded.eta))
+            etas[topic_and_robot[1]].append((message.log_time, decoded.estimate.eta))
         if topic == "shoal/viewer/scene":
             for entity in decoded.entities:
                 if entity.id.startswith("robot"):
@@ -118,7 +119,7 @@ def test_hulls_are_drawn_where_robots_say_they_are(exported: tuple[Path, Path]) 
 
 def test_silent_robots_and_old_obstacles_are_not_drawn() -> None:
     picture = SceneDrawer(load_experiment("pool"))
-    picture.take(topics.STATE, 1, RobotState(), SECOND)
+    picture.take(topics.STATE, 1, RobotState(estimate=Estimate()), SECOND)
     picture.take(topics.PLAN, 2, Plan(0.05, np.ones((5, 4)), np.ones((5, 4))), SECOND)
     obstacles = Obstacles((4,), np.ones((1, 12, 2)), np.zeros((1, 2)), 0.3, unseen_s=np.zeros(1))
     picture.take(topics.OBSTACLES, 0, obstacles, SECOND)
@@ -152,8 +153,12 @@ def test_every_topic_of_the_layout_is_in_the_log(exported: tuple[Path, Path]) ->
             topic, _, rest = path["value"].partition(".")
             kind = key_topic(topic)
             assert kind is not None
-            field = re.fullmatch(r"(\w+)(\[\d\])?", rest)
-            assert field is not None and field[1] in {f.name for f in dataclasses.fields(kind[0].type)}
+            *parts, last = rest.split(".")
+            cls: Any = kind[0].type
+            for part in parts:
+                cls = nested_message(get_type_hints(cls)[part])
+            field = re.fullmatch(r"(\w+)(\[\d\])?", last)
+            assert field is not None and field[1] in {f.name for f in dataclasses.fields(cls)}
     assert viewer_topics("shoal") <= {m[0] for m in messages(log_of(exported[1]))}
 
 
@@ -221,7 +226,7 @@ def advertised(viewer: ClientConnection, wanted: set[str]) -> dict[str, dict[str
 
 def test_a_viewer_hears_what_is_on_the_bus_and_sees_the_scene(served: tuple[Bus, ViewerServer]) -> None:
     bus, server = served
-    state = RobotState(eta=np.array([1.0, 2.0, 0.3, 0.1]))
+    state = RobotState(estimate=Estimate(eta=np.array([1.0, 2.0, 0.3, 0.1])))
     with connect(f"ws://127.0.0.1:{server.port}", subprotocols=["foxglove.sdk.v1"]) as viewer:  # type: ignore[list-item]
         bus.publish(topics.STATE, state, SECOND, 1)
         channels = advertised(viewer, {"shoal/robot/1/state", "shoal/viewer/scene", "shoal/viewer/pool"})

@@ -41,7 +41,13 @@ SAID: list[tuple[Topic, int, Any]] = [
     (topics.OBSTACLES, 0, m.Obstacles((4, 9), CORNERS, np.ones((2, 2)), 0.3, 1.0, unseen_s=np.zeros(2))),
     (topics.OBSTACLES, 0, m.Obstacles((), depth_m=0.3, watched=0.5)),
     (topics.PLAN, 2, m.Plan(0.05, np.arange(20.0).reshape(5, 4), np.zeros((5, 4)), 0.01)),
-    (topics.STATE, 1, m.RobotState(m.Mode.TRACKING, trajectory_s=0.5, eta=np.arange(4.0), pulse_us=tuple(range(1500, 1508)))),
+    (
+        topics.STATE,
+        1,
+        m.RobotState(
+            m.Mode.TRACKING, trajectory_s=0.5, pulse_us=tuple(range(1500, 1508)), estimate=m.Estimate(eta=np.arange(4.0))
+        ),
+    ),
     (topics.STATE, 1, m.RobotState(m.Mode.HOLDING, "pose late", trajectory_s=0.55, heard=(2, 3))),
     (topics.HEARTBEAT, 0, m.StationHeartbeat("hash", True, "RUNNING", 0.25, 0.0, (1, 2))),
     (topics.TRAJECTORY, 1, PATH),
@@ -77,7 +83,9 @@ def test_time_0_is_found_without_all_states_in_memory(tmp_path: Path) -> None:
     """A log of hours has millions of states, of 4 kB each."""
     count, recorder = 1500, Recorder(tmp_path / "run.mcap", "", {})
     for k in range(count):
-        state = m.RobotState(m.Mode.TRACKING, trajectory_s=0.05 * k, eta=np.arange(4.0), pulse_us=tuple(range(1500, 1508)))
+        state = m.RobotState(
+            m.Mode.TRACKING, trajectory_s=0.05 * k, pulse_us=tuple(range(1500, 1508)), estimate=m.Estimate(eta=np.arange(4.0))
+        )
         recorder.put(topics.STATE, f"shoal/{topics.STATE.key(1)}", Header(1, k, k * SECOND // 20), encode(state), k)
     recorder.close()
     tracemalloc.start()

@@ -10,7 +10,7 @@ from groundstation.analysis.results import WHOLE_RUN
 from groundstation.logs.reader import DecodedMessage, RunLog
 from groundstation.mission.state_machine import COMMITTED, MissionState
 from shoal.messages import topics
-from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory, Truth
+from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory, Truth, required
 from shoal.messages.topics import Topic
 from tests.groundstation.mission.simulated_fleet import SimulatedFleet, armed
 
@@ -35,7 +35,7 @@ class RunRecord:
         mission = self._fleet.mission
         plans = mission.roster.plans(robot, mission.segment, mission.plans.next)
         if state.mode is Mode.TRACKING and plans.include(state.trajectory_id):
-            away_m = float(np.linalg.norm(state.eta[:3] - state.eta_reference[:3]))
+            away_m = float(np.linalg.norm(required(state.estimate).eta[:3] - required(state.control).eta_reference[:3]))
             self._largest_m[robot] = max(self._largest_m[robot], away_m)
 
     def take_cycle(self, beat: StationHeartbeat) -> None:

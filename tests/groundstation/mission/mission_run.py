@@ -12,7 +12,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
 from shoal.config.experiment import Experiment, load_experiment
-from shoal.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, Track, Trajectory
+from shoal.messages.messages import BoardReading, Command, Estimate, Mode, Order, Pose, Reply, RobotState, Track, Trajectory
 
 STEP_NS = 50_000_000
 
@@ -70,11 +70,17 @@ class ObedientRobot:
     def view(self) -> RobotView:
         pose = Pose(0, 0, 0, np.eye(3), Track.MARKER, self.verified)
         state = RobotState(
-            mode=self.mode, fault=self.fault, experiment_hash=self.experiment.hash, trajectory_id=self.loaded,
-            trajectory_s=self.trajectory_s, battery_v=self.battery_v, thruster_test=self.test,
-            tuning_id=self.tuning_id, blind=self.blind,
-            eta=np.array(self.eta),
-        )  # fmt: skip
+            mode=self.mode,
+            fault=self.fault,
+            experiment_hash=self.experiment.hash,
+            trajectory_id=self.loaded,
+            trajectory_s=self.trajectory_s,
+            thruster_test=self.test,
+            tuning_id=self.tuning_id,
+            blind=self.blind,
+            board=BoardReading(battery_v=self.battery_v),
+            estimate=Estimate(eta=np.array(self.eta)),
+        )
         if self.unknown:
             return RobotView()
         age_s = 9.0 if self.silent else self.age_s

@@ -32,14 +32,18 @@ from shoal.frames import Array
 from shoal.messages.codec import Header
 from shoal.messages.live_gains import tuning
 from shoal.messages.messages import (
+    BoardReading,
     Command,
+    Control,
     DriveVelocity,
+    Estimate,
     Mode,
     Order,
     Pose,
     Reply,
     RobotState,
     StationHeartbeat,
+    StepTiming,
     Track,
 )
 
@@ -200,14 +204,11 @@ class SimulatedRobot:
             tuning_id=self.tuning_id,
             trajectory_s=self.clock.reached_s,
             trajectory_id=self.clock.id,
-            eta=self.eta,
-            nu=np.array([self._speed_mps, 0.0, 0.0, 0.0]),
-            eta_reference=self._reference,
-            battery_v=12.0,
-            depth_m=float(self.eta[2]),
-            board_age_ms=20.0 if self.board_works else 5000.0,
             thruster_test=self.test,
-            planned=True,
+            estimate=Estimate(eta=self.eta, nu=np.array([self._speed_mps, 0.0, 0.0, 0.0])),
+            control=Control(eta_reference=self._reference),
+            board=BoardReading(battery_v=12.0, depth_m=float(self.eta[2])),
+            timing=StepTiming(board_age_ms=20.0 if self.board_works else 5000.0),
         )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from groundstation.mission.lap_statistics import LapStatistics
-from shoal.messages.messages import Mode, RobotState
+from shoal.messages.messages import Control, Estimate, Mode, RobotState
 
 LAP_S = 10.0
 
@@ -13,7 +13,12 @@ def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0
     """A step of robots that are so far along, all as far from their references."""
     away = np.array([error_m, 0.0, 0.0, 0.0])
     laps.update(
-        {robot: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=s, eta=away) for robot, s in trajectory_s.items()}
+        {
+            robot: RobotState(
+                mode=Mode.TRACKING, tuning_id="a", trajectory_s=s, estimate=Estimate(eta=away), control=Control()
+            )
+            for robot, s in trajectory_s.items()
+        }
     )
 
 

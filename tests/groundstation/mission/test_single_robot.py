@@ -10,7 +10,7 @@ from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.single_robot import VELOCITY_LASTS_S, SingleRobotControl
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import RobotView
-from shoal.messages.messages import DriveVelocity, Mode, Order, Progress
+from shoal.messages.messages import DriveVelocity, Mode, Order, Progress, required
 from tests.groundstation.mission.mission_run import MissionRun
 
 AHEAD = DriveVelocity(surge_mps=0.2)
@@ -34,7 +34,8 @@ class LedRun(MissionRun):
         for robot, nu in self.nu.items():
             state = views[robot].state
             assert state is not None
-            views[robot] = replace(views[robot], state=replace(state, nu=np.array(nu)))
+            estimate = replace(required(state.estimate), nu=np.array(nu))
+            views[robot] = replace(views[robot], state=replace(state, estimate=estimate))
         return views
 
     def step(self, seconds: float = 0.05) -> None:

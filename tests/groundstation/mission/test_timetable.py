@@ -7,14 +7,14 @@ from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.mission.timetable import Timetable
 from groundstation.telemetry import RobotView
 from shoal.config.mission import MissionConfig
-from shoal.messages.messages import Mode, RobotState
+from shoal.messages.messages import Estimate, Mode, RobotState
 
 NS = 1_000_000_000
 TIMETABLE = Timetable(start_ns=10 * NS, from_s=3.0)
 
 
 def seen(trajectory_s: float, age_s: float = 0.0, mode: Mode = Mode.TRACKING) -> RobotView:
-    return RobotView(RobotState(mode=mode, trajectory_s=trajectory_s, eta=np.zeros(4)), age_s)
+    return RobotView(RobotState(mode=mode, trajectory_s=trajectory_s, estimate=Estimate(eta=np.zeros(4))), age_s)
 
 
 def test_the_timetable_stands_until_its_instant() -> None:

@@ -18,7 +18,7 @@ from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
 from shoal.messages.codec import decode, encode
-from shoal.messages.messages import Command, Order, RobotState, Trajectory
+from shoal.messages.messages import Command, Estimate, Order, RobotState, Trajectory
 from tests.groundstation.planning.smoothness import check_smooth
 
 PERIOD_S = 0.05
@@ -161,7 +161,7 @@ def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_co
 
 def test_robots_on_their_own_ways_look_out_for_lost_ones_also_where_no_path_is_changed_for_things() -> None:
     trajectory = glides((0.0, 0.0), (2.0, 0.0))
-    lost = RobotView(RobotState(eta=np.array([1.0, 0.0, 0.0, 0.0])), 9.0)
+    lost = RobotView(RobotState(estimate=Estimate(eta=np.array([1.0, 0.0, 0.0, 0.0]))), 9.0)
     obstacles = ObstacleSet((1,), np.array([[1.5, 0.0, 0.1]]))
     for settings, sees_things in ((["mission.detours=true"], True), (["mission.detours=false"], False)):
         monitor = ObstacleMonitor(load_experiment("pool", settings))

@@ -280,7 +280,9 @@ def test_tracking_figure_plots_the_errors(series: Series) -> None:
 def test_the_figure_of_pulses_has_the_echoes_of_the_boards(series: Series) -> None:
     robot = next(iter(series.robots.values()))
     flown = robot.states.tracking
-    assert np.array_equal(np.unique(robot.states.echo_us[flown], axis=0), [[1550, 1550, 1450, 1440, 1500, 1500, 1510, 1490]])
+    assert np.array_equal(
+        np.unique(robot.states.board(lambda b: b.echo_us)[flown], axis=0), [[1550, 1550, 1450, 1440, 1500, 1500, 1510, 1490]]
+    )
     echoes = [curve for curve in figures_control.pulses(series).panels[0].lines if curve.label.endswith(", echo")]
     assert [curve.values[np.isfinite(curve.values)].mean() for curve in echoes] == [1550, 1550, 1450, 1440]
 

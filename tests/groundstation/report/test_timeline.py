@@ -1,5 +1,6 @@
 """A report's figures of limits, links and time, against states and records of known content."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from groundstation.report import figures_timeline as drawn
 from groundstation.report.drawing import BarPlot, TimePlot
 from groundstation.report.plotting import picture
 from shoal.frames import Array
-from shoal.messages.messages import Guidance, Mode, Pose, RobotState, StepInputs
+from shoal.messages.messages import Guidance, Mode, Pose, RobotState, StepInputs, StepTiming, required
 from tests.groundstation.synthetic import Script, write_run
 
 MS = 1_000_000
@@ -27,10 +28,11 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Series, Path]:
     return align(experiment, read_log(folder / "run.mcap")), folder
 
 
-def with_states(series: Series, robot: int, **columns: object) -> Series:
-    """A series with some columns of one robot's states in the place of those that were recorded."""
+def with_states(series: Series, robot: int, change: Callable[[int, RobotState], RobotState]) -> Series:
+    """A series with changed states of one robot, each changed by its row."""
     mine = series.robots[robot]
-    return replace(series, robots={**series.robots, robot: replace(mine, states=replace(mine.states, **columns))})  # type: ignore[arg-type]
+    states = replace(mine.states, messages=[change(k, state) for k, state in enumerate(mine.states.messages)])
+    return replace(series, robots={**series.robots, robot: replace(mine, states=states)})
 
 
 def bars(plot: BarPlot | None) -> list[float]:
@@ -48,12 +50,17 @@ def test_a_limit_counts_where_it_is_reached_and_only_while_under_way(flown: tupl
     series, folder = flown
     bounds, states = series.experiment.vehicle.limits, series.robots[1].states
     rows = np.flatnonzero(states.tracking)
-    wrench, slack_m = states.wrench.copy(), np.zeros(len(states.time_s))
+    wrench, slack_m = states.control(lambda c: c.wrench), np.zeros(len(states.time_s))
     wrench[rows[:20], 0] = -bounds.wrench[0]
     wrench[rows[20:60], 2] = 0.98 * bounds.wrench[2]  # near is not at
     wrench[: rows[0], 1] = bounds.wrench[1]  # before the start
     slack_m[rows[5]] = 0.013
-    changed = with_states(series, 1, wrench=wrench, slack_m=slack_m, board_loss=slack_m * 2.0)
+
+    def change(k: int, state: RobotState) -> RobotState:
+        control = replace(required(state.control), wrench=wrench[k], slack_m=slack_m[k])
+        return replace(state, control=control, board=replace(required(state.board), loss=slack_m[k] * 2.0))
+
+    changed = with_states(series, 1, change)
     limits = active_limits(changed, changed.robots[1])
     assert limits["surge"].sum() == 20 and not limits["yaw"].any()
     result = evaluate(changed, read_log(folder / "run.mcap"))
@@ -72,10 +79,15 @@ def test_the_timeline_and_the_events_say_what_decides_the_motion(flown: tuple[Se
     series, _ = flown
     states = series.robots[1].states
     rows = np.flatnonzero(states.tracking)
-    guidance = np.zeros(len(states.time_s))
-    guidance[rows] = Guidance.ON_PATH
-    guidance[rows[10:30]], guidance[rows[30:35]] = Guidance.GIVING_WAY, Guidance.RETURNING
-    plot = drawn.timeline(with_states(series, 1, guidance=guidance))
+    guidance = dict.fromkeys(rows.tolist(), Guidance.ON_PATH)
+    guidance |= dict.fromkeys(rows[10:30].tolist(), Guidance.GIVING_WAY) | dict.fromkeys(
+        rows[30:35].tolist(), Guidance.RETURNING
+    )
+
+    def change(k: int, state: RobotState) -> RobotState:
+        return replace(state, guidance=guidance.get(k, Guidance.NONE))
+
+    plot = drawn.timeline(with_states(series, 1, change))
     assert plot is not None
     bars = {bar.label: (bar.begin_s, bar.length_s) for bar in plot.rows[0][1]}
     assert bars["giving way"] == pytest.approx((states.time_s[rows[10]], 1.0))
@@ -92,7 +104,7 @@ def entry(state: RobotState, stamp_ns: int) -> DecodedMessage[RobotState]:
 
 def test_the_hops_add_up_to_the_whole() -> None:
     """30 ms in the localizer, 5 until the step, 2 for the step, 1 to the board."""
-    state = RobotState(pose_age_ms=35.0, step_us=2000.0, exposure_to_pwm_ms=38.0)
+    state = RobotState(timing=StepTiming(pose_age_ms=35.0, step_us=2000.0, exposure_to_pwm_ms=38.0))
     inputs = StepInputs(4, Pose(0.0, 0.0, 0.0), pose_instant_ns=65 * MS, pose_told_age_ns=30 * MS)
     hops = hops_of(entry(state, 100 * MS), inputs)
     np.testing.assert_allclose(hops, [30.0, 5.0, 2.0, 1.0], atol=1e-9)
@@ -100,7 +112,7 @@ def test_the_hops_add_up_to_the_whole() -> None:
 
 
 def test_a_step_without_a_new_pose_says_nothing_about_latency() -> None:
-    state = RobotState(pose_age_ms=400.0, step_us=2000.0, exposure_to_pwm_ms=403.0)
+    state = RobotState(timing=StepTiming(pose_age_ms=400.0, step_us=2000.0, exposure_to_pwm_ms=403.0))
     inputs = StepInputs(4, Pose(0.0, 0.0, 0.0), pose_instant_ns=0, pose_told_age_ns=30 * MS)
     assert np.isnan(hops_of(entry(state, 400 * MS), inputs)).all()
     assert np.isnan(hops_of(entry(state, 400 * MS), None)).all()

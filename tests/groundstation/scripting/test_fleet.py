@@ -14,7 +14,20 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.errors import ConfigError
 from shoal.messages import topics
-from shoal.messages.messages import Command, Event, Mode, Order, Outcome, Pose, Progress, Reply, RobotState, StationHeartbeat
+from shoal.messages.messages import (
+    Command,
+    Estimate,
+    Event,
+    Mode,
+    Order,
+    Outcome,
+    Pose,
+    Progress,
+    Reply,
+    RobotState,
+    StationHeartbeat,
+    required,
+)
 
 METHODS = {"return": "return_to_start", "test": "test_thrusters"}  # the others have the requests' names
 
@@ -113,10 +126,12 @@ def test_a_request_that_does_not_wait_returns_when_it_is_taken(fleet: ConnectedF
 
 def test_live_states_are_the_newest_and_a_silent_robot_is_told(fleet: ConnectedFleet, station: PlayedStation) -> None:
     for x_m in (1.0, 2.0):
-        station.bus.publish(topics.STATE, RobotState(Mode.TRACKING, eta=np.array([x_m, 0.0, 0.0, 0.0])), 0, robot=3)
+        station.bus.publish(
+            topics.STATE, RobotState(Mode.TRACKING, estimate=Estimate(eta=np.array([x_m, 0.0, 0.0, 0.0]))), 0, robot=3
+        )
     station.bus.publish(topics.POSE, Pose(0.5, 0.25, 0.0), 0, robot=3)
     assert fleet.robots == (3,)
-    assert (fleet.state(3).eta[0], fleet.pose(3).y_m) == (2.0, 0.25)
+    assert (required(fleet.state(3).estimate).eta[0], fleet.pose(3).y_m) == (2.0, 0.25)
     with pytest.raises(NotHeard, match="robot 4: no state"):
         fleet.state(4, max_age_s=0.05)
     with pytest.raises(NotHeard, match="robot 50: no such robot"):

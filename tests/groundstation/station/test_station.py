@@ -34,6 +34,7 @@ from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
+    BoardReading,
     CameraHealth,
     Command,
     LocalizerStatus,
@@ -211,7 +212,7 @@ class ObedientFleet:
 
     def tell(self) -> None:
         for robot, mode in self.modes.items():
-            state = RobotState(mode=mode, experiment_hash=self.experiment.hash, battery_v=12.0)
+            state = RobotState(mode=mode, experiment_hash=self.experiment.hash, board=BoardReading(battery_v=12.0))
             self.bus.publish(topics.STATE, state, time.time_ns(), robot)
 
     def until(self, station: Station, done: Callable[[], bool]) -> None:
@@ -577,7 +578,7 @@ def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path)
         fleet = Bus(MemoryTransport(hub))
         for hash_, blocks in (("0" * 64, True), (station.experiment.hash, False), ("", False)):  # the last: an earlier version
             fleet.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, experiment_hash=hash_), time.time_ns())
-            state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
+            state = RobotState(experiment_hash=station.experiment.hash, board=BoardReading(battery_v=12.0))
             fleet.publish(topics.STATE, state, time.time_ns(), 1)
             station.cycle(station.clock.now_ns())
             view = replace(station.status().views[1], state_age_s=0.0)
@@ -592,7 +593,7 @@ def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path)
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
         programs = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-        state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
+        state = RobotState(experiment_hash=station.experiment.hash, board=BoardReading(battery_v=12.0))
         for number in (0, 1, 0):
             programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
             programs[number].publish(topics.STATE, state, time.time_ns(), 1)
@@ -614,7 +615,7 @@ def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_t
             LocalizerStatus(CameraHealth.OK, code="0.1.0 8289d898"),
         )
         for robot, its, hash_ in ((1, own, station.experiment.hash), (2, "", "0" * 64)):
-            state = RobotState(experiment_hash=hash_, battery_v=12.0, code=its)
+            state = RobotState(experiment_hash=hash_, code=its, board=BoardReading(battery_v=12.0))
             fleet.publish(topics.STATE, state, time.time_ns(), robot)
         fleet.publish(topics.LOCALIZER, localizer, time.time_ns())
         for _ in range(2):

@@ -8,7 +8,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import RobotState
+from shoal.messages.messages import RobotState, StepTiming
 from sim_bridge.lockstep.clock import LockstepClock
 from tests.groundstation.fake_station import FakeStation
 
@@ -21,7 +21,7 @@ def test_the_age_of_a_robots_state_is_simulated_until_simulated_time_stands() ->
     bus = Bus(MemoryTransport(hub))
     station = FakeStation(experiment, bus, clock=clock)
     backend = LiveBackend(experiment, {}, bus, station.inboxes, clock, station, "lockstep")
-    Bus(MemoryTransport(hub)).publish(topics.STATE, RobotState(step_us=90_000.0), S, 1)
+    Bus(MemoryTransport(hub)).publish(topics.STATE, RobotState(timing=StepTiming(step_us=90_000.0)), S, 1)
     clock.tick_ns = S + S // 20
     time.sleep(WAIT_S)
 

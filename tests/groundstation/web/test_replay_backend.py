@@ -17,7 +17,7 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import Mode, Order, Plan, Preview, RobotState, Trajectory
+from shoal.messages.messages import BoardReading, Mode, Order, Plan, Preview, RobotState, StepTiming, Trajectory
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
 
 SECOND = 1_000_000_000
@@ -42,7 +42,8 @@ def at(replay: ReplayBackend, time_s: float) -> dict[str, Any]:
 
 
 def error_m(robot: dict[str, Any]) -> Array:
-    eta, reference = (np.frombuffer(robot["state"][name], "<f4").astype(np.float64) for name in ("eta", "reference"))
+    poses = robot["state"]["estimate"]["eta"], robot["state"]["control"]["eta_reference"]
+    eta, reference = (np.frombuffer(pose, "<f4").astype(np.float64) for pose in poses)
     return np.asarray((eta - reference)[:2])
 
 
@@ -50,7 +51,7 @@ def error_m(robot: dict[str, Any]) -> Array:
 def test_replay_begins_where_the_robots_start_to_fly(replay: ReplayBackend) -> None:
     first = replay.snapshot()
     assert first["replay"] == {"time_s": pytest.approx(START_S + 0.05, abs=0.01), "rate": 0.0}
-    assert first["robots"][0]["state"]["t_s"] == pytest.approx(0.05, abs=0.01)
+    assert first["robots"][0]["state"]["trajectory_s"] == pytest.approx(0.05, abs=0.01)
     assert replay.scene()["replay"]["end_s"] == pytest.approx(START_S + 30.5, abs=0.1)
     assert [path["robot"] for path in replay.scene()["paths"]] == [1, 2]
 
@@ -60,7 +61,7 @@ def test_seeking_shows_the_states_of_that_time(replay: ReplayBackend, order: tup
     for flown_s in order:
         shown = at(replay, START_S + flown_s + 0.001)
         for robot in shown["robots"]:
-            assert robot["state"]["t_s"] == pytest.approx(flown_s, abs=1e-6)
+            assert robot["state"]["trajectory_s"] == pytest.approx(flown_s, abs=1e-6)
             assert robot["age_ms"] == pytest.approx(1.3, abs=0.1)  # 0.3 ms of it are its step
             expected = np.add(tracking_error(robot["id"], flown_s)[:2], POSE_OFFSET_M)  # the estimate's own offset
             np.testing.assert_allclose(error_m(robot), expected, atol=1e-6)
@@ -90,7 +91,7 @@ def test_the_past_of_a_recorded_run_is_all_of_it(replay: ReplayBackend) -> None:
     assert "state" not in rows[0]["robots"][0]  # nothing was heard then
     for row in (row for row in rows if row["time_s"] > START_S + 0.1):
         for robot, shown in zip(row["robots"], at(replay, row["time_s"])["robots"], strict=True):
-            assert robot["state"]["eta"] == shown["state"]["eta"] and robot["state"]["mode"] == shown["state"]["mode"]
+            assert robot["state"] == shown["state"]
             assert robot["age_ms"] == pytest.approx(shown["age_ms"], abs=0.5)  # rows count from the arrival
 
 
@@ -100,7 +101,7 @@ def test_the_other_run_is_aligned_by_its_own_start(run: Path, tmp_path: Path) ->
         shown = at(both, START_S + 10.05)
         ghosts = {ghost["id"]: np.frombuffer(ghost["eta"], "<f4") for ghost in shown["ghosts"]}
         for robot in shown["robots"]:
-            here = np.frombuffer(robot["state"]["eta"], "<f4")
+            here = np.frombuffer(robot["state"]["estimate"]["eta"], "<f4")
             np.testing.assert_allclose(ghosts[robot["id"]][:2], here[:2], atol=1e-3)
 
 
@@ -155,7 +156,7 @@ def test_of_a_run_that_was_cut_off_a_copy_is_mended(run: Path, tmp_path: Path) -
     (tmp_path / "run.mcap").write_bytes(cut)
     (tmp_path / "experiment.toml").write_bytes((run / "experiment.toml").read_bytes())
     with ReplayBackend(tmp_path) as backend:
-        assert at(backend, START_S + 3.0)["robots"][0]["state"]["t_s"] == pytest.approx(3.0, abs=0.06)
+        assert at(backend, START_S + 3.0)["robots"][0]["state"]["trajectory_s"] == pytest.approx(3.0, abs=0.06)
     assert (tmp_path / "run.mcap").read_bytes() == cut  # a recorder may still be writing it
 
 
@@ -177,7 +178,11 @@ def test_alarms_are_those_that_were(tmp_path: Path) -> None:
             bad = robot == 2
             stamp_ns = k * 50_000_000 + 10**18
             state = RobotState(
-                mode=Mode.TRACKING, experiment_hash=experiment.hash, battery_v=12.0, step_us=18_000.0, trajectory_s=since_s
+                mode=Mode.TRACKING,
+                experiment_hash=experiment.hash,
+                trajectory_s=since_s,
+                board=BoardReading(battery_v=12.0),
+                timing=StepTiming(step_us=18_000.0),
             )
             for topic, message in ((topics.STATE, state), (topics.PLAN, Plan(0.05))):
                 if bad and (lost or (topic is topics.PLAN and 20.0 <= since_s < 24.0)):

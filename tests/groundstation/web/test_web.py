@@ -27,7 +27,7 @@ from shoal.config.experiment import load_experiment
 from shoal.config.scene import Waypoints
 from shoal.errors import ConfigError
 from shoal.messages.camera_coverage import project
-from shoal.messages.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
+from shoal.messages.messages import BoardReading, CameraHealth, LocalizerStatus, Mode, Pose, RobotState, StepTiming, Track
 from shoal.runtime.web_access import host_allowed, origin_allowed, token_allowed, web_options
 from sim_bridge.camera import optics
 
@@ -281,9 +281,9 @@ def test_no_text_does_harm(text: str | bytes) -> None:
 # --- alarms
 
 
-def _view(**changes: Any) -> RobotView:
-    state: dict[str, Any] = {"mode": Mode.TRACKING, "battery_v": 12.0, "track": Track.MARKER, "board_age_ms": 20.0}
-    state |= {"experiment_hash": POOL.hash, **changes}
+def _view(battery_v: float = 12.0, **changes: Any) -> RobotView:
+    state: dict[str, Any] = {"mode": Mode.TRACKING, "track": Track.MARKER, "timing": StepTiming(board_age_ms=20.0)}
+    state |= {"experiment_hash": POOL.hash, "board": BoardReading(5, battery_v=battery_v), **changes}
     pose = Pose(0.0, 0.0, 0.0, track=Track.MARKER, identity_verified=True)
     return RobotView(RobotState(**state), 0.05, pose, 0.05)
 

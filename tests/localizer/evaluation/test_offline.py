@@ -31,7 +31,7 @@ from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
-from shoal.messages.messages import RobotState
+from shoal.messages.messages import BoardReading, RobotState
 from shoal.runtime.output_files import disk_free
 from shoal.runtime.runtime import Stop
 from sim_bridge.lockstep.clock import LockstepClock
@@ -253,7 +253,9 @@ class _LeaningRobots:
             self._clock.tick_ns = at_ns = (20 + k) * 50 * MS
             for robot in (1, 2):
                 tilt = np.array([ROLL_RAD + 0.001 * k, 0.01 * robot, 0.02, 0.0])
-                self._bus.publish(topics.STATE, RobotState(depth_m=0.3 + 1e-4 * k, tilt=tilt), at_ns, robot)
+                self._bus.publish(
+                    topics.STATE, RobotState(board=BoardReading(depth_m=0.3 + 1e-4 * k, tilt=tilt)), at_ns, robot
+                )
             hidden = frozenset({1} if 8 <= k < 14 else ())
             yield CapturedFrame(self._scene.frame({1: _place(k), 2: STANDING}, hidden), at_ns - 7, at_ns, at_ns)
             if k == 10:

@@ -22,7 +22,7 @@ from localizer.setup.camera_feed import CameraFeed
 from localizer.setup.experiment_file import ExperimentFile
 from localizer.setup.session import SetupSession
 from localizer.sources.base import CapturedFrame
-from localizer.sources.v4l2_controls import Control, V4l2Controls
+from localizer.sources.v4l2_controls import CameraControl, V4l2Controls
 from shoal.config.experiment import EXPERIMENTS, load_experiment
 from shoal.errors import ConfigError
 from shoal.runtime.runtime import Stop
@@ -71,9 +71,9 @@ class HandControls:
     def __init__(self) -> None:
         self.gain, self.exposure = 10, 80
 
-    def offered(self) -> tuple[Control, ...]:
-        gain = Control("gain", self.gain, 0, 100, 1, 32)
-        return gain, Control("exposure_time_absolute", self.exposure, 1, 500, 1, 100)
+    def offered(self) -> tuple[CameraControl, ...]:
+        gain = CameraControl("gain", self.gain, 0, 100, 1, 32)
+        return gain, CameraControl("exposure_time_absolute", self.exposure, 1, 500, 1, 100)
 
     def set(self, name: str, value: int) -> None:
         if name == "gain":

@@ -7,7 +7,7 @@ from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array, wrap
-from shoal.messages.messages import Pose
+from shoal.messages.messages import Pose, required
 from sim_bridge.camera.renderer import Renderer
 from tests.closed_loop.dry_pool import DryPool
 from tests.localizer.numpy_geometry import leaning
@@ -86,9 +86,14 @@ class SeenPool(DryPool):
         world, ids = self.world, self.experiment.robot_ids
         frame = self._renderer.render(world.eta, world.nu, world.now_ns * 1e-9, self._frames, world.tilt)
         self._frames += 1
-        depths = {i: robot.states[-1].depth_m for i, robot in zip(ids, self.robots, strict=True) if robot.states}
+        depths = {
+            i: required(robot.states[-1].board).depth_m for i, robot in zip(ids, self.robots, strict=True) if robot.states
+        }
         states = {i: robot.states[-1] for i, robot in zip(ids, self.robots, strict=True) if robot.states and self._measured}
-        readings = {i: Attitude.at(s.tilt, STEP_S + s.board_age_ms * 1e-3, ATTITUDE_SIGMA_RAD) for i, s in states.items()}
+        readings = {
+            i: Attitude.at(required(s.board).tilt, STEP_S + s.timing.board_age_ms * 1e-3, ATTITUDE_SIGMA_RAD)
+            for i, s in states.items()
+        }
         attitudes = {i: attitude for i, attitude in readings.items() if attitude is not None}
         assert len(attitudes) == len(states)
         poses = dict(self._locator.step(frame, stamp_ns, depths, attitudes).poses)

@@ -26,7 +26,7 @@ from shoal.config import baseline_controllers
 from shoal.config.experiment import load_experiment
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array, wrap
-from shoal.messages.messages import Plan, Solve
+from shoal.messages.messages import Plan, Solve, required
 from tests.robot_agent.control.drawn_inputs import GOAL, STEP_NS, at, check, goals, measurements, neighbours
 from tests.robot_agent.water import integrate
 
@@ -362,11 +362,11 @@ def wander(name: str, steps: int) -> float:
     for _ in range(steps):
         output = robot.step()
         check(output)
-        assert np.all(np.abs(output.wrench_delivered) <= LIMIT + ROUNDED)
-        beyond += bool(np.any(np.abs(output.wrench_wanted) > LIMIT + 1e-9))
+        assert np.all(np.abs(required(output.control).wrench_delivered) <= LIMIT + ROUNDED)
+        beyond += bool(np.any(np.abs(required(output.control).wrench_wanted) > LIMIT + 1e-9))
         if before is not None and output.solve is before.solve is Solve.SOLVED:
-            change = np.abs(output.wrench_delivered - before.wrench_delivered)
-            short = max(abs(o.wrench[1] - o.wrench_delivered[1]) for o in (before, output))
+            change = np.abs(required(output.control).wrench_delivered - required(before.control).wrench_delivered)
+            short = max(abs(required(o.control).wrench[1] - required(o.control).wrench_delivered[1]) for o in (before, output))
             kept = change <= STEP + 2.0 * ROUNDED
             assert kept[0] and kept[2] and (kept[1] or short > ROUNDED[1])
         before = output

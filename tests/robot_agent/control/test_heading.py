@@ -8,9 +8,10 @@ import pytest
 from robot_agent.control.heading import DAMPING, HOLD_RADPS, PATH_RADPS, HeadingReference
 from robot_agent.guidance.reference import Follow, Hold, Reference, ReferenceSampler
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.estimate import Estimate
+from robot_agent.vehicle.estimate import Observation
 from shoal.config.vehicle import load_vehicle
 from shoal.frames import Array, wrap
+from shoal.messages.messages import Estimate
 from tests.robot_agent.paths import PERIOD_S, circle
 
 VEHICLE = load_vehicle("spherical")
@@ -22,8 +23,8 @@ def heading() -> HeadingReference:
     return HeadingReference(Model(VEHICLE), PERIOD_S, GAIN)
 
 
-def estimate(eta: Array, nu: Array = REST, gamma: Array = REST, current: complex = 0j) -> Estimate:
-    return Estimate(eta, nu, gamma, current, gamma, np.zeros(12), 0.0, 0.0)
+def estimate(eta: Array, nu: Array = REST, gamma: Array = REST, current: complex = 0j) -> Observation:
+    return Observation(Estimate(eta, nu, gamma), gamma, current, np.zeros(12), 0.0, 0.0)
 
 
 def line(speed_mps: float, yaw_rad: float = 0.0) -> Reference:
@@ -32,7 +33,7 @@ def line(speed_mps: float, yaw_rad: float = 0.0) -> Reference:
     return Reference(np.array([[0.0, 0.0, 0.0, yaw_rad]]), speed_mps * direction[None], np.zeros((1, 4)))
 
 
-def settled(path: Reference, now: Estimate, is_resting: bool = False, steps: int = 2000) -> float:
+def settled(path: Reference, now: Observation, is_resting: bool = False, steps: int = 2000) -> float:
     """The heading after a long time, rad."""
     one = heading()
     for _ in range(steps):

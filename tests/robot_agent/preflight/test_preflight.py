@@ -34,7 +34,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.mavlink import board_address
 from shoal.messages import topics
-from shoal.messages.messages import Mode, Solve, StationHeartbeat
+from shoal.messages.messages import Mode, Solve, StationHeartbeat, required
 from sim_bridge.sil.ports import free_base_port, free_port
 from tests.robot_agent import obedient_board
 from tests.robot_agent.autopilot import Autopilot
@@ -177,7 +177,11 @@ def test_the_rehearsal_flies_with_every_neighbour() -> None:
     experiment = load_experiment("fleet-20")
     for agent, inputs, now_ns in itertools.islice(rehearse(experiment, 7), 40):
         outputs = agent.step(inputs, now_ns)
-    assert (outputs.state.mode, outputs.state.solve, len(outputs.state.heard)) == (Mode.TRACKING, Solve.SOLVED, 19)
+    assert (outputs.state.mode, required(outputs.state.control).solve, len(outputs.state.heard)) == (
+        Mode.TRACKING,
+        Solve.SOLVED,
+        19,
+    )
 
 
 @pytest.mark.parametrize(

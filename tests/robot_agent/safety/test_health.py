@@ -9,10 +9,10 @@ from robot_agent.control.any_controller import controller_class
 from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
-from robot_agent.vehicle.estimate import StateMeasurement
+from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.experiment import load_experiment
 from shoal.mavlink.agent_link import Telemetry
-from shoal.messages.messages import Mode, Pose, Track
+from shoal.messages.messages import Control, Estimate, Mode, Pose, Track
 
 POOL = load_experiment("pool")
 NOW_NS, MS = 10_000_000_000, 1_000_000
@@ -24,10 +24,16 @@ CONTROLLER = controller_class(POOL.controller)(POOL.vehicle, POOL.controller, PO
 OUTPUT = CONTROLLER.step(StateMeasurement(), None, (), NOW_NS)
 
 
+def observation(aside_m: float) -> Observation:
+    """At rest, beside the place (0, 0)."""
+    estimate = Estimate(eta=np.array([0.0, aside_m, 0.3, 0.0]))
+    return Observation(estimate, np.zeros(4), 0j, np.zeros(12), pose_age_s=0.0, depth_age_s=0.02)
+
+
 def unfit(inputs: Inputs, station: StationView = STATION) -> str:
     monitor = HealthMonitor(POOL)
     monitor.note_inputs(inputs, Mode.DISARMED, NOW_NS)
-    monitor.note_output(OUTPUT._replace(depth_age_s=0.02), Mode.DISARMED, NOW_NS)
+    monitor.note_output(OUTPUT._replace(observation=observation(0.0)), Mode.DISARMED, NOW_NS)
     return monitor.arming_refusal(inputs, station, NOW_NS)
 
 
@@ -106,7 +112,8 @@ def test_to_ask_how_a_robot_is_changes_nothing() -> None:
 
 
 def off_the_path(aside_m: float) -> ControlOutput:
-    return OUTPUT._replace(eta=np.array([0.0, aside_m, 0.3, 0.0]), eta_reference=np.array([0.0, 0.0, 0.3, 0.0]), is_free=True)
+    control = Control(eta_reference=np.array([0.0, 0.0, 0.3, 0.0]))
+    return OUTPUT._replace(observation=observation(aside_m), control=control, is_free=True)
 
 
 def test_a_robot_that_was_off_its_path_is_not_so_for_ever() -> None:
@@ -132,7 +139,7 @@ def test_an_estimate_that_ends_under_power_is_remembered_until_the_power_is_gone
 
     def fly(mode: Mode, estimated: bool) -> bool:
         monitor.note_inputs(WELL, mode, NOW_NS)
-        monitor.note_output(OUTPUT._replace(estimated=estimated), mode, NOW_NS)
+        monitor.note_output(OUTPUT._replace(observation=observation(0.0) if estimated else None), mode, NOW_NS)
         return monitor.health(WELL, False, NOW_NS).estimate_ended
 
     assert not fly(Mode.HOLDING, False)  # there was none yet

@@ -11,7 +11,7 @@ from benchmarks.robots.water import Trouble, TroubledFleet, TroubledPlant
 from groundstation.planning import planner
 from shoal.config.experiment import load_experiment
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, DriveVelocity, Guidance, Mode, Order, RobotState
+from shoal.messages.messages import Command, DriveVelocity, Guidance, Mode, Order, RobotState, required
 
 FASTEST_MPS = 0.48  # of the vehicle file; the plant's full thrust gives 5 % more
 POSES = ("sim.numeric.pose_noise_m=0.0015", "sim.numeric.yaw_noise_rad=0.008")
@@ -155,7 +155,14 @@ def test_driven_robot_stops_when_it_cannot_move_and_not_before(current: float, h
         if time_s > 8.0:
             drive = Command(Order.DRIVE, 1, experiment_hash=fleet.experiment.hash, drive=DriveVelocity(0.4 * FASTEST_MPS))
             agent.handle_command(Header(station.session, 9, now_ns), drive, station, now_ns)
-            leads_m.append(np.linalg.norm((fleet.robots[0].states[-1].eta_reference - fleet.robots[0].states[-1].eta)[:2]))
+            leads_m.append(
+                np.linalg.norm(
+                    (
+                        required(fleet.robots[0].states[-1].control).eta_reference
+                        - required(fleet.robots[0].states[-1].estimate).eta
+                    )[:2]
+                )
+            )
 
     flown = BoundedFleet([ahead(0.2)], 0.0, 0.0).until_it_stops(40.0, drives)
     assert flown.guidance is Guidance.DRIVEN and max(leads_m) < 0.55

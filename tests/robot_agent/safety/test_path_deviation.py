@@ -9,7 +9,7 @@ from benchmarks.flights import flew
 from benchmarks.robot_agent.thrusters import STILL
 from robot_agent.safety.path_deviation import PathDeviationMonitor
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode
+from shoal.messages.messages import Mode, required
 
 STEP_NS = 50_000_000
 
@@ -72,7 +72,7 @@ def test_where_a_path_sets_off_at_once_all_arrive_anew() -> None:
 def test_robot_that_starts_from_rest_on_a_fast_path_flies_it(speed_mps: float) -> None:
     fleet = flew(load_experiment("straight", [f"path.speed_mps={speed_mps}", "duration_s=15"]))
     assert {state.mode for state in fleet.robots[0].states if state.trajectory_s > 0.0} == {Mode.TRACKING}
-    assert np.linalg.norm(fleet.truth[-1][0][:2] - fleet.robots[0].states[-1].eta_reference[:2]) < 0.1
+    assert np.linalg.norm(fleet.truth[-1][0][:2] - required(fleet.robots[0].states[-1].control).eta_reference[:2]) < 0.1
 
 
 def test_once_said_it_stays_so_until_the_goal_is_another() -> None:
@@ -92,7 +92,9 @@ def harm(broken: str, at_s: float, seed: int, settings: Sequence[str] = ()) -> t
     fleet = flew(load_experiment("pool", [*STILL, *settings, f"seed={seed}", f"duration_s={at_s + 10.0}"], faults))
     i = int(broken[0]) - 1
     flown = [(s, truth[i]) for s, truth in zip(fleet.robots[i].states, fleet.truth, strict=True) if s.trajectory_s > at_s]
-    off_m = [float(np.hypot(*(s.eta_reference - truth)[:2])) for s, truth in flown if s.mode is Mode.TRACKING]
+    off_m = [
+        float(np.hypot(*(required(s.control).eta_reference - truth)[:2])) for s, truth in flown if s.mode is Mode.TRACKING
+    ]
     return max(off_m), flown[-1][0].fault
 
 

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.robots import cells
 from benchmarks.robots.figures import CAUSES
 from benchmarks.robots.flights import STOPPED, FlightLog, fly
-from shoal.messages.messages import Guidance, Mode
+from shoal.messages.messages import Guidance, Mode, required
 
 NEW_LAW = ("controller.law=nmpc", "controller.estimator.kind=kalman")
 
@@ -96,7 +96,7 @@ def test_of_two_that_cross_only_the_one_with_the_other_to_starboard_gives_way(
     monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     log = flown(monkeypatch, "meet-2", number, 60.0)
-    ways = [complex(*(states[-1].eta - states[0].eta)[:2]) for states in log.states]
+    ways = [complex(*(required(states[-1].estimate).eta - required(states[0].estimate).eta)[:2]) for states in log.states]
     for way, other, states in zip(ways, ways[::-1], log.states, strict=True):
         states_met = [s.guidance for s in states[1:]]
         # y points to starboard: who comes from there goes to port

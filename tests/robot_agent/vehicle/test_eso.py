@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import COAST_NS, EsoSettings, Estimator, correct, gains, gains_with_rate
-from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.estimate import Observation, PoseMeasurement, StateMeasurement
 from shoal.config.controller import EstimatorConfig
 from shoal.config.vehicle import load_vehicle
 from shoal.frames import Array, wrap
@@ -63,7 +63,7 @@ def fly(
     disturbance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     gyro: bool = True,
     current: complex = 0j,
-) -> tuple[list[Estimate | None], TrueFlight]:
+) -> tuple[list[Observation | None], TrueFlight]:
     """A control loop without control: poses arrive late, the board is fresh, wrenches act after the dead time."""
     flight, estimates = TrueFlight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])], current), []
     sighting: PoseMeasurement | None = None
@@ -87,7 +87,7 @@ def weave(t: float) -> Wrench:
     return 2.5 + math.sin(0.7 * t), 0.3 * math.sin(0.5 * t), 0.08 * math.sin(0.9 * t)
 
 
-def errors(estimates: list[Estimate | None], flight: TrueFlight, since_s: float) -> Array:
+def errors(estimates: list[Observation | None], flight: TrueFlight, since_s: float) -> Array:
     """Estimate minus truth, [eta, nu] (steps, 8)."""
     rows = []
     for k, estimate in enumerate(estimates):
@@ -145,7 +145,7 @@ def test_constant_disturbances_are_found(gyro: bool) -> None:
     last = estimates[-1]
     assert last is not None
     assert last.disturbance == pytest.approx(gamma, abs=1.5e-3)
-    assert np.array_equal(last.gamma_still_water, last.disturbance) and last.current == 0j
+    assert np.array_equal(last.estimate.disturbance, last.disturbance) and last.current == 0j
 
 
 def test_without_sway_the_side_channel_stays_silent() -> None:
@@ -265,7 +265,7 @@ def test_a_leap_that_is_believed_says_what_was_told_and_what_was_believed() -> N
 # --- depth and yaw rate that cannot be
 
 
-def sensing(reading: Callable[[int], tuple[float | None, float | None]], steps: int = 60) -> list[Estimate]:
+def sensing(reading: Callable[[int], tuple[float | None, float | None]], steps: int = 60) -> list[Observation]:
     """A robot at rest at 0.3 m, whose board says this depth and yaw rate at each step."""
     observer, states = estimator(), []
     for k in range(1, steps + 1):

@@ -15,7 +15,7 @@ from robot_agent.vehicle.eso import Estimator
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from shoal.config.experiment import load_experiment
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Mode, Order
+from shoal.messages.messages import Command, Mode, Order, required
 
 POOL = load_experiment("pool")
 BAD = ARM_AFTER + 40  # the first step at which something is wrong
@@ -36,7 +36,7 @@ def test_one_bad_depth_is_flown_over() -> None:
     for k, outputs in flown(lambda inputs, n: depth(inputs, 10.0) if n == 0 else inputs, 20):
         if k >= BAD:
             assert (outputs.state.mode, outputs.state.fault) == (Mode.TRACKING, "")
-            assert outputs.state.eta[2] == pytest.approx(DEPTH_M, abs=1e-3)
+            assert required(outputs.state.estimate).eta[2] == pytest.approx(DEPTH_M, abs=1e-3)
 
 
 def test_a_depth_that_lasts_against_the_estimate_is_a_fault_that_names_both() -> None:
@@ -44,7 +44,7 @@ def test_a_depth_that_lasts_against_the_estimate_is_a_fault_that_names_both() ->
         if k >= BAD + 6:
             assert outputs.state.mode is Mode.FAULT and set(outputs.pulse_us) == {1500}
             assert outputs.state.fault == "depth in doubt: the sensor says 10.00 m, 0.30 m was believed"
-        assert abs(outputs.state.wrench[1]) < 0.5  # it never rose to meet it
+        assert abs(required(outputs.state.control).wrench[1]) < 0.5  # it never rose to meet it
 
 
 def test_depths_that_make_no_sense_at_all_are_no_depth() -> None:
@@ -70,8 +70,8 @@ def test_a_place_that_has_to_be_given_up_means_hold_where_the_robot_is_now() -> 
     for k, outputs in flown(lambda inputs, n: leapt(inputs, -0.6), 20):
         if k >= BAD + 6:
             assert outputs.state.mode is Mode.HOLDING and outputs.state.fault.startswith("position leapt: poses say (")
-            holds = outputs.state.eta_reference if holds is None else holds
-            assert abs(outputs.state.eta_reference - holds).max() == 0.0
+            holds = required(outputs.state.control).eta_reference if holds is None else holds
+            assert abs(required(outputs.state.control).eta_reference - holds).max() == 0.0
     assert holds is not None
 
 
@@ -104,7 +104,11 @@ def test_no_thrust_is_asked_of_a_board_that_is_not_armed() -> None:
     """It would put out none, and the estimator would take what lacks for a disturbance."""
     for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER + 10):
         outputs = agent.step(replace(inputs, telemetry=replace(inputs.telemetry, armed=False)), now_ns)
-    assert outputs.state.mode is Mode.TRACKING and not outputs.state.wrench.any() and set(outputs.pulse_us) == {1500}
+    assert (
+        outputs.state.mode is Mode.TRACKING
+        and not required(outputs.state.control).wrench.any()
+        and set(outputs.pulse_us) == {1500}
+    )
 
 
 def test_a_thruster_test_that_was_passed_counts_no_more_once_the_thrusters_are_in_doubt() -> None:

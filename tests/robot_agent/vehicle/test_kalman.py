@@ -11,12 +11,12 @@ from benchmarks.flights import prepared
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import NS
-from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.estimate import Observation, PoseMeasurement, StateMeasurement
 from robot_agent.vehicle.kalman import KalmanEstimator, make_estimator
 from shoal.config.controller import EstimatorConfig
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array, wrap
-from shoal.messages.messages import Mode
+from shoal.messages.messages import Mode, required
 from sim_bridge.in_process.fleet import DirectPlant, fly
 
 pytestmark = pytest.mark.long
@@ -39,7 +39,7 @@ class Drift:
     observer: KalmanEstimator
     errors: list[Array] = field(default_factory=list)
     nees: list[tuple[float, float, float]] = field(default_factory=list)
-    estimates: list[Estimate] = field(default_factory=list)
+    estimates: list[Observation] = field(default_factory=list)
 
 
 def drift(experiment: Experiment, seed: int, noise: float = 1.0, seconds: float = 40.0, held_s: float = 0.0) -> Drift:
@@ -115,8 +115,8 @@ def test_a_current_is_told_from_a_force_that_turns_along() -> None:
     stream = drift(load_experiment("pool", [*ALONE, "sim.plant.current_mps=[0.1,0.0,0.0]"]), 1)
     weak = drift(load_experiment("pool", [*ALONE, "sim.plant.mass_error=0.5", "sim.plant.drag_error=0.5"]), 1)
     in_stream, in_still = stream.estimates[-1], weak.estimates[-1]
-    assert abs(in_stream.current - 0.1) < 0.015 and 0.9 < in_stream.thrust_ratio < 1.2
-    assert abs(in_still.current) < 0.015 and 0.6 < in_still.thrust_ratio < 0.8 and 0.6 < in_still.moment_ratio < 0.8
+    assert abs(in_stream.current - 0.1) < 0.015 and 0.9 < in_stream.estimate.thrust_ratio < 1.2
+    assert abs(in_still.current) < 0.015 and 0.6 < in_still.estimate.thrust_ratio < 0.8 and 0.6 < in_still.moment_ratio < 0.8
 
 
 def test_a_robot_held_in_a_current_does_not_learn_that_the_water_stands() -> None:
@@ -156,7 +156,7 @@ def test_a_belief_that_is_no_number_is_given_up_for_the_next_pose() -> None:
     observer = make_estimator(vehicle, model, EstimatorConfig(kind="kalman"))
     assert isinstance(observer, KalmanEstimator)
 
-    def step(k: int) -> Estimate | None:
+    def step(k: int) -> Observation | None:
         pose = PoseMeasurement(k * STEP_NS - LATE_NS, 0.2, 0.1, 0.3, 2e-6, 6e-5)
         return observer.update(StateMeasurement(pose, 0.3, 0.0), k * STEP_NS)
 
@@ -175,6 +175,6 @@ def test_an_agent_flies_with_it_and_tells_what_it_learns() -> None:
     for _ in fly(fleet, water):
         pass
     last = fleet.robots[0].states[-1]
-    assert last.mode is Mode.TRACKING and not last.fault and 0.8 < last.thrust_ratio < 1.25
+    assert last.mode is Mode.TRACKING and not last.fault and 0.8 < required(last.estimate).thrust_ratio < 1.25
     late = fleet.errors()[round(18.0 / fleet.experiment.controller.period_s) :, :, :2]
     assert np.sqrt(np.mean(np.sum(late**2, axis=2), axis=0)).max() < 0.015

@@ -6,7 +6,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import ALONE, Event, Mode, RobotState, StationHeartbeat
+from shoal.messages.messages import ALONE, Control, Estimate, Event, Mode, RobotState, StationHeartbeat
 from sim_bridge.sil.monitor import Monitor
 
 
@@ -24,7 +24,10 @@ def line(name: str, states: dict[int, RobotState], mission: str = "RUNNING", rea
 
 def tracking(off_m: float, fault: str = "") -> RobotState:
     return RobotState(
-        mode=Mode.TRACKING, eta=np.array([off_m, 0.0, 0.3, 0.0]), eta_reference=np.array([0.0, 0.0, 0.3, 0.0]), fault=fault
+        mode=Mode.TRACKING,
+        fault=fault,
+        estimate=Estimate(eta=np.array([off_m, 0.0, 0.3, 0.0])),
+        control=Control(eta_reference=np.array([0.0, 0.0, 0.3, 0.0])),
     )
 
 

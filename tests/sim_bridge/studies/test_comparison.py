@@ -17,6 +17,7 @@ from groundstation.analysis.comparison import Comparison, Variant
 from groundstation.planning import planner
 from shoal.config.experiment import EXPERIMENTS, Experiment, load_experiment
 from shoal.errors import ConfigError
+from shoal.messages.messages import required
 from shoal.runtime.version import code
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.closed_loop.numeric import flown
@@ -77,7 +78,7 @@ def test_figures_are_those_of_the_flight() -> None:
     assert figures.max_after_20s_m == pytest.approx(distance[400:].max())
     gaps = [error[:, a, :3] - error[:, b, :3] for a, b in ((0, 1), (0, 2), (1, 2))]
     assert figures.formation_rms_m == pytest.approx(math.sqrt(np.mean([(gap**2).sum(axis=1) for gap in gaps])))
-    wanted = np.array([[s.wrench_wanted for s in each] for each in states])
+    wanted = np.array([[required(s.control).wrench_wanted for s in each] for each in states])
     large = fast = either = 0
     for robot in wanted:
         for before, now in pairwise(robot):
@@ -87,7 +88,7 @@ def test_figures_are_those_of_the_flight() -> None:
     assert (figures.wanted_too_large, figures.wanted_too_fast) == pytest.approx((large / count, fast / count))
     assert figures.wanted_beyond == pytest.approx(either / count) and 0.0 < figures.wanted_beyond < 1.0
     assert figures.wanted_most == pytest.approx((np.abs(wanted) / [6.0, 3.0, 0.5]).max())
-    steps = np.array([[s.wrench_step for s in each] for each in states]) / [0.3, 0.3, 0.1]
+    steps = np.array([[required(s.control).wrench_step for s in each] for each in states]) / [0.3, 0.3, 0.1]
     assert figures.input_step_rms == pytest.approx(np.sqrt((steps**2).mean(axis=1)).max())
     assert figures.under_way == 1.0
 

@@ -1,9 +1,10 @@
 /** What the plots show: one row per tenth of a second since the page connected and the station's own rows before, a column per curve. Of a
  * recorded run, the whole run from the first. */
 
-import { FIELDS } from "./fields";
+import { fieldOf, valueAt } from "./fields";
+import type { RobotState } from "./messages";
 import { isAlone, onSamples, type Sample, scene } from "./store";
-import type { RobotState, Scene } from "./wire";
+import type { Scene } from "./wire";
 
 const ROW_S = 0.1;
 const MOST_ROWS = 6000; // ten minutes
@@ -88,33 +89,33 @@ export function charts(s: Scene, chosen: number): Chart[] {
       title: "Control step",
       unit: "ms",
       limit: 500 * s.period_s,
-      curves: each((sample, id) => never((state(sample, id)?.step_us ?? 0) * 1e-3)),
+      curves: each((sample, id) => never((state(sample, id)?.timing.step_us ?? 0) * 1e-3)),
     },
     {
       id: "latency",
       title: "Latency per hop",
       unit: "ms",
       curves: [
-        { name: "→ pose", value: ({ localizer }) => never(localizer && localizer.age_ms <= OLD_MS ? localizer.to_pose_ms : undefined) },
-        { name: "→ PWM", value: (sample) => never(Math.max(0, ...s.robots.map(({ id }) => state(sample, id)?.to_pwm_ms ?? 0))) },
+        { name: "→ pose", value: ({ localizer }) => never(localizer && localizer.age_ms <= OLD_MS ? localizer.frame_age_ms : undefined) },
+        { name: "→ PWM", value: (sample) => never(Math.max(0, ...s.robots.map(({ id }) => state(sample, id)?.timing.exposure_to_pwm_ms ?? 0))) },
         { name: "→ station", value: ({ robots }) => never(Math.max(0, ...[...robots.values()].filter((r) => r.news.state).map((r) => r.news.age_ms))) },
         { name: "↔ page", value: (sample) => sample.roundTripMs },
       ],
     },
-    { id: "battery", title: "Battery", unit: "V", curves: each((sample, id) => never(state(sample, id)?.battery_v)) },
+    { id: "battery", title: "Battery", unit: "V", curves: each((sample, id) => never(state(sample, id)?.board?.battery_v)) },
   ];
 }
 
 /** A chart of one field of the robots' states, every robot a curve. Undefined for an id that is none. */
 export function fieldChart(s: Scene, id: string): Chart | undefined {
-  const field = FIELDS.get(id);
+  const field = fieldOf(s, id);
   if (field === undefined) return undefined;
-  const curves = s.robots.map(({ id: robot }) => ({ name: `robot ${robot}`, robot, value: (sample: Sample) => of(field.of, state(sample, robot)) }));
+  const curves = s.robots.map(({ id: robot }) => ({ name: `robot ${robot}`, robot, value: (sample: Sample) => at(field.path, state(sample, robot)) }));
   return { id, title: field.title, unit: field.unit, both: true, curves };
 }
 
-function of(read: (state: RobotState) => number | undefined, told: RobotState | undefined): number | null {
-  const value = told === undefined ? undefined : read(told);
+function at(path: string, from: RobotState | undefined): number | null {
+  const value = from === undefined ? undefined : valueAt(from, path);
   return value === undefined || !Number.isFinite(value) ? null : value;
 }
 

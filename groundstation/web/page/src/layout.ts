@@ -1,4 +1,4 @@
-/** What the plots show: kept in this browser under a name, and shared as an address: ?plots=tracking,state.nu.0&robot=2. */
+/** What the plots show: kept in this browser under a name, and shared as an address: ?plots=tracking,state.estimate.nu.0&robot=2. */
 
 import { signal } from "@preact/signals";
 import { selected } from "./store";

@@ -1,7 +1,8 @@
 /** Everything the page knows, in one place. What the canvas draws is plain data; what text shows are signals. */
 
 import { computed, signal } from "@preact/signals";
-import type { Alarm, Formed, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RobotState, RunList, Scene, Snapshot, Tried } from "./wire";
+import type { RobotState } from "./messages";
+import type { Alarm, Formed, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RunList, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
 const MOST_LINES = 500;
@@ -137,12 +138,23 @@ function takePast(states: PastState[]): void {
 }
 
 function unpack(news: PastState["robots"][number]) {
-  const s = news.state;
-  const part = (name: "eta" | "reference" | "disturbance" | "wrench") => (s ? floats(s[name]) : NONE);
-  return [news.id, { news, eta: part("eta"), reference: part("reference"), disturbance: part("disturbance"), wrench: part("wrench") }] as const;
+  return [news.id, { news, ...numbers(news.state) }] as const;
 }
 
 const NONE = new Float32Array(4);
+
+/** The vectors of a state. A robot without a goal is where it should be. */
+function numbers(state: RobotState | undefined) {
+  const [estimate, control] = [state?.estimate, state?.control];
+  const eta = estimate ? floats(estimate.eta) : NONE;
+  return {
+    eta,
+    nu: estimate ? floats(estimate.nu) : NONE,
+    disturbance: estimate ? floats(estimate.disturbance) : NONE,
+    reference: control ? floats(control.eta_reference) : eta,
+    wrench: control ? floats(control.wrench) : NONE,
+  };
+}
 
 let leastLateMs = Infinity; // least that the page's clock was past the station's when a state came
 
@@ -159,15 +171,10 @@ function takeState(state: Snapshot): void {
   live.sentMs = sentMs(at, state.clock_ms);
   live.arrivedMs = at;
   for (const news of state.robots) {
-    const s = news.state;
     live.robots.set(news.id, {
       news,
       sentMs: live.sentMs,
-      eta: s ? floats(s.eta) : NONE,
-      nu: s ? floats(s.nu) : NONE,
-      reference: s ? floats(s.reference) : NONE,
-      disturbance: s ? floats(s.disturbance) : NONE,
-      wrench: s ? floats(s.wrench) : NONE,
+      ...numbers(news.state),
       horizon: news.plan && news.plan.age_ms < 500 ? floats(news.plan.xyz) : new Float32Array(0),
     });
   }
@@ -307,7 +314,7 @@ export function isStale(robot: RobotNews | undefined, sentMs: number): boolean {
 
 /** Whether a robot is on a trajectory of its own, which a person gave it, and not on the formation's (groundstation/formation_clock.py). */
 export function isAlone(state: RobotState): boolean {
-  return state.loaded.startsWith("alone-");
+  return state.trajectory_id.startsWith("alone-");
 }
 
 /** Choose a robot, or nobody if it is chosen already; with `more` in addition to those that are chosen. */

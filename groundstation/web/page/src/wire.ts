@@ -1,6 +1,7 @@
 /** What the station sends (groundstation/web/scene.py, snapshot.py, client_hub.py) and what the page may say (protocol.py). */
 
 import { decode } from "@msgpack/msgpack";
+import type { LocalizerStatus, Obstacles, Pose, RobotState } from "./messages";
 
 /** float32 values as they lie in a message; `floats` makes them readable. */
 export type Packed = Uint8Array;
@@ -62,6 +63,7 @@ export interface Scene {
   robots: { id: number; node_m: [number, number, number]; neighbours: number[] }[];
   path: CirclePath | WaypointPath | RoutePath;
   formation: { mode: "translate" | "rotate"; scale: number; shape: Shape | null; spacing_m: number };
+  fields: Field[]; // numbers of a robot's state that can be plotted
   hints: Record<string, string>; // meaning, range and default of keys of the experiment file
   knobs: Knob[]; // of the controller, that may be turned in flight
   paths: PathSamples[];
@@ -73,6 +75,13 @@ export interface Scene {
   offers?: ("again" | "edited" | "close")[]; // what may follow an ended run
   problem?: string; // with the run, or with what was chosen after it
   life?: string; // of the station: requests are numbered anew in each
+}
+
+/** A number of a robot's state: where it stands there (`control.wrench.0`), and as what it is shown. */
+export interface Field {
+  path: string;
+  title: string;
+  unit: string;
 }
 
 /** What became of a run, as people read it (groundstation/web/run_end.py). */
@@ -109,60 +118,11 @@ export interface Tuning {
   laps: { n: number; id: string; s: number; rms: number; max: number }[];
 }
 
-type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT" | "DRIVEN";
-type Guidance = "NONE" | "JOINING" | "ON_PATH" | "GIVING_WAY" | "RETURNING" | "HOLDING" | "DRIVEN";
-type Track = "LOST" | "COAST" | "KCF" | "MARKER";
-
-export interface RobotState {
-  mode: Mode;
-  fault: string;
-  guidance: Guidance; // what decides its motion
-  tuning: string;
-  t_s: number;
-  loaded: string;
-  eta: Packed;
-  nu: Packed;
-  disturbance: Packed;
-  drag_ratio: number; // drag and thrust per mass over the vehicle file's, as learned; 0 if they are not
-  thrust_ratio: number;
-  reference: Packed;
-  command: Packed;
-  wrench: Packed;
-  delivered: Packed;
-  pulse_us: number[];
-  echo_us: number[];
-  track: Track;
-  pose_age_ms: number;
-  to_pwm_ms: number;
-  depth_m: number;
-  battery_v: number;
-  armed: boolean;
-  board_age_ms: number;
-  round_trip_ms: number;
-  loss: number;
-  solve: "NONE" | "SOLVED" | "SHIFTED" | "FAILED";
-  iterations: number;
-  step_us: number;
-  missed: number;
-  slack_m: number;
-  heard: number[];
-}
-
 export interface RobotNews {
   id: number;
   age_ms: number;
   state?: RobotState;
-  pose?: {
-    age_ms: number;
-    x_m: number;
-    y_m: number;
-    yaw_rad: number;
-    ellipse: [number, number, number];
-    yaw_sigma_rad: number;
-    track: Track;
-    verified: boolean;
-    peak: number;
-  };
+  pose?: Pose & { age_ms: number; ellipse: [number, number, number] }; // half axes m and direction of one sigma
   plan?: { age_ms: number; period_s: number; xyz: Packed };
 }
 
@@ -207,17 +167,8 @@ export interface Snapshot {
   ended: boolean; // the run is over
   next?: "" | "again" | "edited" | "close"; // of an ended run: what a person has chosen
   led: { robot: number; text: string }[]; // robots that a person leads one by one
-  localizer: {
-    age_ms: number;
-    camera: string;
-    frames: number;
-    dropped: number;
-    frame_ms: number;
-    to_pose_ms: number;
-    message: string;
-    out: string[]; // cameras of several whose poses do not count now
-  } | null;
-  obstacles: { age_ms: number; ids: number[]; outline: Packed; velocity: Packed } | null;
+  localizer: (LocalizerStatus & { age_ms: number }) | null;
+  obstacles: (Obstacles & { age_ms: number }) | null;
   robots: RobotNews[];
   pace?: number | null; // simulated seconds per second; null by the wall clock and before it is known
   replay?: { time_s: number; rate: number };
@@ -260,7 +211,7 @@ export interface LogLine {
 export interface PastState {
   time_s: number;
   robots: (Pick<RobotNews, "id" | "age_ms"> & { state?: RobotState })[];
-  localizer: { age_ms: number; to_pose_ms: number } | null;
+  localizer: Pick<LocalizerStatus & { age_ms: number }, "age_ms" | "frame_age_ms"> | null;
 }
 
 /** A run's folder, as its files tell it. */

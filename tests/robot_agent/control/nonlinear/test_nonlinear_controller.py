@@ -24,7 +24,7 @@ from shoal.config.experiment import load_experiment
 from shoal.config.vehicle import Vehicle, load_vehicle
 from shoal.frames import Array
 from shoal.messages.live_gains import tunable_parameters, tuned
-from shoal.messages.messages import DriveVelocity, Obstacles, Plan, Solve, Trajectory
+from shoal.messages.messages import DriveVelocity, Obstacles, Plan, Solve, Trajectory, required
 from tests.robot_agent.control.drawn_inputs import (
     GOAL,
     POOL,
@@ -60,7 +60,7 @@ class Swimmer:
         seen = StateMeasurement(PoseMeasurement(self.k * STEP_NS, x, y, yaw), z, r)
         output = self.controller.step(seen, goal, others, self.k * STEP_NS, obstacles)
         check(output, self.vehicle)
-        self.wrenches.append(output.wrench_delivered)
+        self.wrenches.append(required(output.control).wrench_delivered)
         wrench = self.wrenches[-1 - DEAD_STEPS]
         for _ in range(5):
             state = self.model.advance(self.state, (0.0,) * 4, tuple(wrench), 0.01)
@@ -119,7 +119,7 @@ def test_hold_rests_where_the_robot_can_stop_without_overshoot(speed_mps: float)
     begin, speed = robot.state[0], robot.state[4]
     assert speed == pytest.approx(speed_mps, rel=0.1)
     goal = Hold(np.array([begin, 0.0, 0.3, 0.0]))
-    place = robot.step(goal).eta_reference[0]
+    place = required(robot.step(goal).control).eta_reference[0]
     least = shortest_stop(speed)
     assert least - 0.02 <= place - begin <= 2.0 * least + 0.10
     for _ in range(300):
@@ -131,14 +131,14 @@ def test_hold_rests_where_the_robot_can_stop_without_overshoot(speed_mps: float)
 def test_hold_rests_inside_the_walls_and_clear_of_an_island() -> None:
     robot = on_the_move(0.3, 1.1, room_m=(3.0, 9.0))
     goal = Hold(robot.track[-1][:4])
-    place = [robot.step(goal).eta_reference for _ in range(200)][-1]
+    place = [required(robot.step(goal).control).eta_reference for _ in range(200)][-1]
     assert place[0] <= 1.5 - VEHICLE.radius_m - 0.06
     assert robot.places[:, 0].max() < 1.5 - VEHICLE.radius_m
 
     island = Obstacle(0, np.array([0.5 + 0.0j]), 0.3, 0j, 0, 0.5 + 0j, 0.0)
     robot = on_the_move(0.3, 0.1, islands=(island,))
     goal = Hold(robot.track[-1][:4])
-    place = [robot.step(goal).eta_reference for _ in range(200)][-1]
+    place = [required(robot.step(goal).control).eta_reference for _ in range(200)][-1]
     assert np.hypot(place[0] - 0.5, place[1]) >= 0.3
     assert np.hypot(*(robot.places[-1] - place[:2])) < 0.02
 
@@ -169,7 +169,7 @@ def test_a_robot_without_thrust_tells_its_drift() -> None:
     robot = Swimmer((0.0, 0.0, 0.3, 0.0), 0.3)
     outputs = [robot.step(None) for _ in range(50)]
     told = outputs[30].plan_eta  # by then the observer knows how fast it is
-    assert np.all(outputs[30].wrench == 0.0)
+    assert np.all(required(outputs[30].control).wrench == 0.0)
     assert told[5, 0] == pytest.approx(robot.places[50, 0], abs=0.02) and robot.places[50, 0] - robot.places[30, 0] > 0.08
 
 
@@ -203,7 +203,7 @@ def test_a_plan_that_says_its_robot_is_far_off_takes_no_other_far_along(has_lead
         other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + np.array([100.0, 0.0, 0.0, 0.0]), meant), True, True, True)
         output = robot.step(Follow(GOAL.trajectory, 0.05 * k), [other])
         assert output.solve is Solve.SOLVED
-        assert math.dist(robot.state[:2], output.eta_reference[:2]) < 1.25
+        assert math.dist(robot.state[:2], required(output.control).eta_reference[:2]) < 1.25
 
 
 @pytest.mark.parametrize("robots", [2, 4])
@@ -243,8 +243,8 @@ def test_gains_change_in_flight_without_a_leap() -> None:
             robot.controller.adopt_gains(other)
         output = robot.step(Follow(GOAL.trajectory, 0.05 * k))
         if before is not None and k == 40:
-            assert np.abs(output.wrench - before).max() < 0.2
-        before = output.wrench
+            assert np.abs(required(output.control).wrench - before).max() < 0.2
+        before = required(output.control).wrench
 
 
 @settings(max_examples=25, deadline=None)
@@ -275,9 +275,9 @@ def test_a_robot_with_side_thrust_goes_sideways_and_holds_without_turning() -> N
         output = robot.step(Follow(path, 0.05 * k))
         if k >= 120:
             assert output.tracking_error_m < 0.02 and abs(robot.state[3]) < 0.05
-    assert robot.state[5] == pytest.approx(0.15, abs=0.02) and abs(output.wrench[3]) > 0.5
+    assert robot.state[5] == pytest.approx(0.15, abs=0.02) and abs(required(output.control).wrench[3]) > 0.5
     begin, goal = complex(*robot.state[:2]), Hold(np.array([*robot.state[:4]]))
-    place = complex(*robot.step(goal).eta_reference[:2])
+    place = complex(*required(robot.step(goal).control).eta_reference[:2])
     assert 0.0 < (place - begin).imag < 0.5 and abs((place - begin).real) < 0.03
     for _ in range(300):
         robot.step(goal)
@@ -290,7 +290,7 @@ def test_a_hull_pitched_by_its_thrust_keeps_its_depth(rate_hz: int) -> None:
     """At full thrust the plant's hull pitches by 0.35 rad. 80 mm without the board's attitude."""
     fast = ("path.speed_mps=0.4", "duration_s=8", "sim.plant.current_mps=[0.0,0.0,0.0]")
     flight = flown(load_experiment("straight", [*fast, "controller.law=nmpc", f"controller.period_s={1.0 / rate_hz}"]))
-    assert max(state.tilt[1] for state in flight.states[0]) > 0.3
+    assert max(required(state.board).tilt[1] for state in flight.states[0]) > 0.3
     assert np.abs(flight.error[:, 0, 2]).max() < 0.06
 
 

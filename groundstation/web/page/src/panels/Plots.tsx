@@ -6,7 +6,7 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { moment, ticks } from "../clock";
 import { css, robotColour } from "../colours";
-import { FIELDS } from "../fields";
+import { idOf } from "../fields";
 import { type Chart, charts, column, fieldChart, record, times } from "../history";
 import { keep, layouts, link, show, SLOTS, slots } from "../layout";
 import { placeOf } from "../pool/path";
@@ -156,9 +156,9 @@ function Plot({ slot }: { slot: number }) {
             </option>
           ))}
           <optgroup label="Any field">
-            {[...FIELDS].map(([id, { title }]) => (
-              <option key={id} value={id}>
-                {title}
+            {(s?.fields ?? []).map((field) => (
+              <option key={field.path} value={idOf(field)}>
+                {field.title}
               </option>
             ))}
           </optgroup>

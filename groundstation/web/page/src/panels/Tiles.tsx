@@ -1,8 +1,9 @@
 /** A tile for each robot, the worst first. What is older than three periods is grey and says its age: it is not now. */
 
 import { robotColour } from "../colours";
+import type { RobotState } from "../messages";
 import { ageMs, alarms, choose, isChosen, isStale, live, now, scene, shown } from "../store";
-import type { RobotNews, RobotState, Scene } from "../wire";
+import type { RobotNews, Scene } from "../wire";
 
 const MARK: Record<string, string> = { DISARMED: "○", ARMED: "◐", TRACKING: "▶", HOLDING: "❚❚", STOPPED: "■", FAULT: "✕", DRIVEN: "✥" };
 const MANY = 6; // from here on a tile tells the mode, the error, the pose, and what is wrong
@@ -69,6 +70,7 @@ function Fact({ name, value, bad }: { name: string; value: string; bad?: boolean
 function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }) {
   now.value; // ages go on, also when nothing comes
   const state = robot.state;
+  const [known, board, toPwmMs] = [state?.estimate, state?.board ?? null, state?.timing.exposure_to_pwm_ms ?? 0];
   const stale = isStale(robot, live.sentMs);
   const mm = errorMm(robot.id);
   const chosen = isChosen(robot.id);
@@ -92,22 +94,22 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
         <span class="id">{robot.id}</span>
         <span class="mode">
           {state ? doing(state) : "not heard"}
-          {state?.armed && <small>, board armed</small>}
+          {state?.board?.armed && <small>, board armed</small>}
         </span>
         <span class="age">{stale ? `${state ? "last heard " : ""}${state ? age(ageMs(robot, live.sentMs)) + " ago" : ""}` : age(ageMs(robot, live.sentMs))}</span>
       </button>
       {state && (
         <dl>
           <Fact name={state.mode === "HOLDING" ? "from its place" : "error"} value={mm === null ? "-" : `${mm.toFixed(mm < 10 ? 1 : 0)} mm`} />
-          <Fact name="pose" value={`${state.track.toLowerCase()} ${age(state.pose_age_ms)}`} bad={state.track === "LOST" || state.track === "COAST"} />
+          <Fact name="pose" value={`${state.track.toLowerCase()} ${age(state.timing.pose_age_ms)}`} bad={state.track === "LOST" || state.track === "COAST"} />
           <Fact name="depth" value={`${live.robots.get(robot.id)?.eta[2]?.toFixed(2) ?? "-"} m`} />
           <Fact name="yaw" value={`${degrees(live.robots.get(robot.id)?.eta[3])}°`} />
           <Fact name="speed" value={`${speed(robot.id)} m/s`} />
-          <Fact name="step" value={`${(state.step_us / 1e3).toFixed(1)} ms`} bad={s.mode !== "lockstep" && state.step_us > 500e3 * s.period_s} />
-          <Fact name="battery" value={`${state.battery_v.toFixed(1)} V`} bad={state.battery_v < battery[2]} />
-          <Fact name="board loss" value={`${(100 * state.loss).toFixed(0)} %`} bad={state.loss > 0.05} />
-          {state.drag_ratio > 0 && <Fact name="drag, thrust" value={`× ${state.drag_ratio.toFixed(2)}, ${state.thrust_ratio.toFixed(2)}`} />}
-          <Fact name="to PWM" value={state.to_pwm_ms > 0 ? `${state.to_pwm_ms.toFixed(0)} ms` : "-"} />
+          <Fact name="step" value={`${(state.timing.step_us / 1e3).toFixed(1)} ms`} bad={s.mode !== "lockstep" && state.timing.step_us > 500e3 * s.period_s} />
+          <Fact name="battery" value={board ? `${board.battery_v.toFixed(1)} V` : "-"} bad={board !== null && board.battery_v < battery[2]} />
+          <Fact name="board loss" value={board ? `${(100 * board.loss).toFixed(0)} %` : "-"} bad={board !== null && board.loss > 0.05} />
+          {known && known.drag_ratio > 0 && <Fact name="drag, thrust" value={`× ${known.drag_ratio.toFixed(2)}, ${known.thrust_ratio.toFixed(2)}`} />}
+          <Fact name="to PWM" value={toPwmMs > 0 ? `${toPwmMs.toFixed(0)} ms` : "-"} />
         </dl>
       )}
       {own.slice(0, 2).map((alarm) => (

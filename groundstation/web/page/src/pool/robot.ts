@@ -23,7 +23,7 @@ export function drawRobot(pen: Pen, view: View, s: Scene, robot: Robot, place: n
   pen.save();
   if (stale) pen.globalAlpha = 0.6;
   if (on.trails) drawTrailEnd(pen, view, robot, colour);
-  const located = robot.news.state!.pose_age_ms < 1e6;
+  const located = robot.news.state!.estimate !== null && robot.news.state!.timing.pose_age_ms < 1e6;
   if (!located) {
     pen.restore();
     return;
@@ -143,7 +143,7 @@ function drawHull(pen: Pen, view: View, s: Scene, robot: Robot, colour: string, 
 /** One bar a thruster, along its thrust or against it, as long as its pulse is far from neutral. In the robot's own axes. */
 function drawThrusters(pen: Pen, view: View, s: Scene, robot: Robot): void {
   const state = robot.news.state!;
-  const pulses = state.echo_us.length >= 4 ? state.echo_us : state.pulse_us;
+  const pulses = state.board && state.board.echo_us.length >= 4 ? state.board.echo_us : state.pulse_us;
   const [reverse, neutral, ahead] = s.limits.pulse_us;
   const full = 0.45 * s.hull_m * view.scale;
   const width = Math.max(2, 0.07 * s.hull_m * view.scale);
