@@ -206,14 +206,14 @@ class Agent:
         pulses = self._pulses(output, inputs.telemetry, now_ns)
         self._health.note_pulses(pulses, now_ns)
         self._health.note_output(output, self.mode, now_ns)
-        heard = tuple(n.robot for n in neighbours if n.fresh)
+        fresh_robots = tuple(n.robot for n in neighbours if n.fresh)
         adrift = goal is None or output.solve is Solve.FAILED
-        plan = self._plan(output, heard, adrift) if output.estimate is not None else None
+        plan = self._plan(output, fresh_robots, adrift) if output.estimate is not None else None
         return Outputs(
             pulses,
             self._health.arming_command(inputs.telemetry.armed, self.mode, now_ns),
             plan,
-            self._state(output, pulses, health, inputs, heard, self._blind(inputs, now_ns)),
+            self._state(output, pulses, health, inputs, fresh_robots, self._blind(inputs, now_ns)),
         )
 
     def _sound(self, output: ControlOutput) -> ControlOutput:
@@ -297,10 +297,10 @@ class Agent:
         limit_ns, formation = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with
         return tuple(
             Neighbour(
-                robot, heard.instant_ns, heard.plan, now_ns - heard.instant_ns <= limit_ns, robot in formation,
-                self._me.id in heard.plan.heard,
+                robot, stamped.instant_ns, stamped.plan, now_ns - stamped.instant_ns <= limit_ns, robot in formation,
+                self._me.id in stamped.plan.heard,
             )
-            for robot, heard in sorted(inputs.plans.items())
+            for robot, stamped in sorted(inputs.plans.items())
             if robot not in inputs.station.out
         )  # fmt: skip
 
@@ -309,12 +309,12 @@ class Agent:
         watched, safety = inputs.obstacles, self._experiment.safety
         if watched is None:
             return ()
-        found = obstacles_from_message(watched.obstacles, watched.instant_ns, safety.radius_m)
+        outlines = obstacles_from_message(watched.obstacles, watched.instant_ns, safety.radius_m)
         if self._estimate is not None:
             x, y, _, _ = self._estimate.eta.tolist()
-            found = self._own_hull.exclude(found, complex(x, y), now_ns)
+            outlines = self._own_hull.exclude(outlines, complex(x, y), now_ns)
         return tuple(
-            grown_with_age(obstacle, safety, now_ns) if is_old(obstacle.age_s(now_ns)) else obstacle for obstacle in found
+            grown_with_age(obstacle, safety, now_ns) if is_old(obstacle.age_s(now_ns)) else obstacle for obstacle in outlines
         )
 
     def _blind(self, inputs: Inputs, now_ns: int) -> str:
@@ -326,14 +326,14 @@ class Agent:
             return blindness(None, 0.0)
         return blindness(watched.obstacles, (now_ns - watched.instant_ns) * 1e-9)
 
-    def _plan(self, output: ControlOutput, heard: tuple[int, ...], adrift: bool) -> Plan:
+    def _plan(self, output: ControlOutput, fresh_robots: tuple[int, ...], adrift: bool) -> Plan:
         return Plan(
             self.controller.told_period_s,
             output.plan_eta,
             output.plan_reference,
             output.tracking_error_m,
             self._me.urgent,
-            heard,
+            fresh_robots,
             adrift,
         )
 
@@ -343,11 +343,11 @@ class Agent:
         pulse_us: tuple[int, ...],
         health: Health,
         inputs: Inputs,
-        heard: tuple[int, ...],
+        fresh_robots: tuple[int, ...],
         blind: str,
     ) -> RobotState:
         """The robot's state as it is told to station and log."""
-        telemetry, seen = inputs.telemetry, inputs.pose
+        telemetry, pose = inputs.telemetry, inputs.pose
         unheard = 1e6  # finite stand-in for "never", in milliseconds: every number on the wire is finite
         return RobotState(
             mode=self.mode,
@@ -358,8 +358,8 @@ class Agent:
             trajectory_s=self._clock.reached_s,
             trajectory_id=self._clock.id,
             pulse_us=pulse_us,
-            track=seen.pose.track if seen is not None else Track.LOST,
-            heard=heard,
+            track=pose.pose.track if pose is not None else Track.LOST,
+            heard=fresh_robots,
             blind=blind,
             thruster_test=self._selftest.result if self._selftest is not None else "",
             estimate=output.estimate,
@@ -374,23 +374,25 @@ class Agent:
 def _measurement(inputs: Inputs) -> StateMeasurement:
     """Convert inputs to the observer's measurement; what is not known is None."""
     telemetry = inputs.telemetry
-    known = telemetry.board_ms >= 0
+    has_board = telemetry.board_ms >= 0
     return StateMeasurement(
         pose=_pose_measurement(inputs.pose),
-        depth_m=telemetry.depth_m if known else None,
-        yaw_rate_radps=telemetry.yaw_rate_radps if known else None,
-        board_ns=telemetry.arrival_ns if known else None,
-        pitch_rad=telemetry.tilt[1] if known and telemetry.tilt else 0.0,
-        roll_rad=telemetry.tilt[0] if known and telemetry.tilt else 0.0,
+        depth_m=telemetry.depth_m if has_board else None,
+        yaw_rate_radps=telemetry.yaw_rate_radps if has_board else None,
+        board_ns=telemetry.arrival_ns if has_board else None,
+        pitch_rad=telemetry.tilt[1] if has_board and telemetry.tilt else 0.0,
+        roll_rad=telemetry.tilt[0] if has_board and telemetry.tilt else 0.0,
     )
 
 
-def _pose_measurement(seen: StampedPose | None) -> PoseMeasurement | None:
+def _pose_measurement(stamped: StampedPose | None) -> PoseMeasurement | None:
     """Convert a pose to the observer's; None if the localizer only guesses."""
-    if seen is None or not seen.is_seen:
+    if stamped is None or not stamped.is_seen:
         return None
-    pose = seen.pose
-    return PoseMeasurement(seen.instant_ns, pose.x_m, pose.y_m, pose.yaw_rad, seen.variance_m2, pose.covariance.item(2, 2))
+    pose = stamped.pose
+    return PoseMeasurement(
+        stamped.instant_ns, pose.x_m, pose.y_m, pose.yaw_rad, stamped.variance_m2, pose.covariance.item(2, 2)
+    )
 
 
 def begins_ns(header: Header, command: Command) -> int:

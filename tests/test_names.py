@@ -17,11 +17,6 @@ PUBLIC = {"_replace", "_asdict", "_fields", "_exit"}  # of named tuples and of `
 DIRECTIVE = re.compile(r"#\s*(type: ignore|noqa|fmt:|pragma:)[^#]*")  # a comment for a tool, which gives no reason
 VAGUE = re.compile(r"test_(who|what|whoever|somebody|nobody)_")
 PARTICIPLES = {"told", "found", "known", "seen", "said", "heard", "meant", "asked"}  # they leave open what was told or found
-OLD_NAMES = {  # files that still have some
-    "robot_agent/agent.py",
-    "robot_agent/safety/path_watch.py",
-    "tests/robot_agent/control/nonlinear/test_nonlinear_controller.py",
-}
 KEPT_NAMES = {  # fields that logs and boards' memories have under these names
     ("shoal/messages/messages.py", "heard"),
     ("sim_bridge/thruster_board/board.py", "heard"),
@@ -75,7 +70,7 @@ def test_a_value_is_named_by_a_noun(package: str) -> None:
         f"{source}:{line}: {name}"
         for source in sources(package)
         for line, name in value_names(tree_of(source))
-        if name.strip("_") in PARTICIPLES and (source, name) not in KEPT_NAMES and source not in OLD_NAMES
+        if name.strip("_") in PARTICIPLES and (source, name) not in KEPT_NAMES
     ]
     assert not offences, "\n".join(offences)
 

@@ -81,8 +81,8 @@ class KnowingEstimator(Estimator):
         action = propagate(
             self._model.motion, state, tuple(gamma.tolist()), water, self._commands(), now_ns, now_ns + self._dead_ns
         )
-        known = replace(estimate.estimate, eta=eta, nu=nu)
-        return estimate._replace(estimate=known, disturbance=gamma, current=current, action=np.array(action))
+        true_estimate = replace(estimate.estimate, eta=eta, nu=nu)
+        return estimate._replace(estimate=true_estimate, disturbance=gamma, current=current, action=np.array(action))
 
 
 def rms_mm(fleet: AgentFleet) -> list[float]:

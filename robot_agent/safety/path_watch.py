@@ -203,11 +203,11 @@ class PathWatch:
             due = self._foreseen.popleft()
         if due is None:
             return False
-        known = step.observation.deviations
-        unsure_m = DEVIATIONS * (known.place_m + known.ground_mps * LOOK_S) if known is not None else 0.0
+        deviations = step.observation.deviations
+        unsure_m = DEVIATIONS * (deviations.place_m + deviations.ground_mps * LOOK_S) if deviations is not None else 0.0
         margin_m = MODEL_SHARE * 0.5 * self._thrust_mps2 * LOOK_S**2 + unsure_m
-        asked = complex(step.control.eta_command[0], step.control.eta_command[1])
-        is_same = abs(asked - due.reference) < SAME * margin_m  # no other order, path or way around others meanwhile
+        command = complex(step.control.eta_command[0], step.control.eta_command[1])
+        is_same = abs(command - due.reference) < SAME * margin_m  # no other order, path or way around others meanwhile
         self._surprised_s = self._surprised_s + step.elapsed_s if is_same and abs(place - due.place) > margin_m else 0.0
         return self._surprised_s >= LASTS_S
 

@@ -78,9 +78,9 @@ def labels(cls: Any) -> dict[str, Label]:
 
 def plotted(cls: Any, path: str = "") -> Iterator[tuple[str, str, str]]:
     """Every number of a message that has a title, also in messages within it: its path (`control.wrench.0`), title, unit."""
-    hints, known = get_type_hints(cls), labels(cls)
+    hints, labels_by_name = get_type_hints(cls), labels(cls)
     for f in dataclasses.fields(cls):
-        label = known.get(f.name, Label(""))
+        label = labels_by_name.get(f.name, Label(""))
         nested = nested_message(hints[f.name])
         if nested is not None:
             yield from plotted(nested, f"{path}{f.name}.")

@@ -2,6 +2,7 @@
 
 import ctypes
 import fcntl
+import os
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -24,6 +25,9 @@ OUTBOX_BYTES = 1000
 REST = Reading(0.0, 0.0, (0.0, 0.0, -STANDARD_GRAVITY_MPS2), 0.0)
 
 
+CORE_TESTS = [f"tests/firmware/{name}" for name in ("test_rules.py", "test_memory.py", "test_board.py")]  # that take `core()`
+
+
 def built(file: str, *options: str, compiler: str = "gcc") -> Path:
     """A file that firmware/Makefile makes, up to date. Skips the test if the compiler is not there."""
     for program in ("make", compiler):
@@ -34,6 +38,11 @@ def built(file: str, *options: str, compiler: str = "gcc") -> Path:
         made = subprocess.run(["make", "-s", "-C", str(FIRMWARE), file, *options], capture_output=True, text=True)
     assert made.returncode == 0, made.stdout + made.stderr
     return FIRMWARE / file
+
+
+def core() -> ctypes.CDLL:
+    """The C core, or another build of it that SHOAL_CORE_LIBRARY names: one with a change, or one that counts its lines."""
+    return load(Path(os.environ.get("SHOAL_CORE_LIBRARY") or built("build/libboard.so")))
 
 
 class CPeer(ctypes.Structure):

@@ -1,9 +1,9 @@
-"""Small changes of the C rules, parameters, signatures and memory, one at a time: which of them does no sequence notice?
+"""Small changes of the C rules, parameters, signatures and memory, one at a time: which of them does no fast test notice?
 
     python -m tests.firmware.mutants [FILE.c ...] [--sample N]
 
-Each change is compiled and run through the sequences of tests/firmware/coverage.py in a process of its own. Prints the changes
-that nothing noticed. `make mutants` runs it.
+Each change is compiled, and the fast tests of the core are run on it in a process of their own. Prints the changes that
+nothing noticed. `make mutants` runs it.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.firmware.library import FIRMWARE, built
+from tests.firmware.library import CORE_TESTS, FIRMWARE, built
 
 FILES = ("rules.c", "parameters.c", "signing.c", "store.c")
 SWAPS = [  # a piece of the code, and what stands there instead
@@ -92,28 +92,20 @@ class Workshop:
 
 
 def folder_of(folder: Path, source: str) -> Path:
-    """Where the object of a source lies."""
+    """Place of a source's object."""
     return folder / (Path(source).stem + ".o")
 
 
 def is_noticed(library: Path) -> bool:
-    """True if a sequence fails, crashes or does not end."""
-    from tests.firmware.coverage import run
-
-    sys.stdout.flush()
-    child = os.fork()
-    if child == 0:
-        import signal
-
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        signal.alarm(LONGEST_S)
-        try:
-            run(library)
-        except BaseException:
-            os._exit(1)
-        os._exit(0)
-    _, status = os.waitpid(child, 0)
-    return status != 0
+    """True if a fast test of the core fails, crashes or does not end."""
+    words = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *CORE_TESTS]
+    environment = os.environ | {"SHOAL_CORE_LIBRARY": str(library)}
+    try:
+        return (
+            subprocess.run(words, cwd=FIRMWARE.parent, env=environment, capture_output=True, timeout=LONGEST_S).returncode != 0
+        )
+    except subprocess.TimeoutExpired:
+        return True
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ class Pilot:
     """A robot's computer at a Mega, in its time."""
 
     def __init__(self, mega: Mega, key: Key | None = None) -> None:
-        self.mega, self.link, self._now_ns = mega, AgentLink(1, key, lambda: 100_000), 0
+        self.mega, self.link, self.now_ns = mega, AgentLink(1, key, lambda: 100_000), 0
         self.bursts: set[int] = set()
 
     def run(self, seconds: float, *thrusters_us: int, ankle_us: int = IGNORED) -> None:
@@ -22,12 +22,12 @@ class Pilot:
             self.step()
 
     def step(self) -> None:
-        self._now_ns += STEP_NS
-        self.link.receive(self.mega.step(self._now_ns), self._now_ns)
+        self.now_ns += STEP_NS
+        self.link.receive(self.mega.step(self.now_ns), self.now_ns)
         self.bursts.add(self.link.telemetry.board_ms)
 
     def send(self, frame: bytes) -> None:
-        self.mega.receive(frame, self._now_ns)
+        self.mega.receive(frame, self.now_ns)
 
     def arm(self) -> None:
         self.run(0.15, *[1500] * 4)

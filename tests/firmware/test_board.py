@@ -17,7 +17,7 @@ from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
 from sim_bridge.thruster_board.sensor_zero import BoardStart, SensorZero, Zeros
 from tests.firmware.bench import results
-from tests.firmware.library import POOL, FirmwareBoard, built, load
+from tests.firmware.library import POOL, FirmwareBoard, core
 
 pytestmark = pytest.mark.long
 
@@ -31,7 +31,7 @@ HPA_PER_M = 998.0 * 9.81 / 100.0
 
 @pytest.fixture(scope="module")
 def library() -> ctypes.CDLL:
-    return load(built("build/libboard.so"))
+    return core()
 
 
 class GivenSensors:

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from tests.firmware.library import FIRMWARE, built
+from tests.firmware.library import CORE_TESTS, FIRMWARE, built
 
 COVERED = ("rules.c", "parameters.c", "signing.c", "store.c")
 
 
 def measured(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """The lines of each file, as gcov counts them, after a run of the sequences."""
+    """The lines of each file, as gcov counts them, after a run of the core's fast tests."""
     built("build/libboard.so")
     core = subprocess.run(
         ["make", "-s", "-C", str(FIRMWARE), "list-library"], capture_output=True, text=True, check=True
@@ -23,8 +23,9 @@ def measured(folder: Path) -> dict[str, list[dict[str, Any]]]:
     library, include = folder / "covered.so", FIRMWARE / "build"
     options = ["-std=c99", "-O0", "--coverage", "-fPIC", "-shared", "-isystem", str(include), f"-I{include}"]
     subprocess.run(["gcc", *options, "-o", library, *(FIRMWARE / name for name in core), "-lm"], check=True, cwd=folder)
-    environment = os.environ | {"PYTHONPATH": str(FIRMWARE.parent)}
-    subprocess.run([sys.executable, "-m", "tests.firmware.coverage", library], check=True, cwd=folder, env=environment)
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *CORE_TESTS]
+    environment = os.environ | {"SHOAL_CORE_LIBRARY": str(library)}
+    subprocess.run(words, check=True, cwd=FIRMWARE.parent, env=environment, stdout=subprocess.DEVNULL)
     lines_by_file: dict[str, list[dict[str, Any]]] = {}
     for data in folder.glob("*.gcda"):
         output = subprocess.run(

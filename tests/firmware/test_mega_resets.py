@@ -52,7 +52,7 @@ def restart(mega: Mega, cause: str) -> None:
 def after(mega: Mega) -> Telemetry:
     """Telemetry of the board's new life, as a program that begins to listen sees it."""
     listener = Pilot(mega)
-    listener._now_ns = round(mega.now_us * 1000.0)
+    listener.now_ns = round(mega.now_us * 1000.0)
     listener.run(1.5)
     return listener.link.telemetry
 
@@ -107,7 +107,7 @@ def test_a_person_confirms_a_zero_or_has_it_taken_anew(mega: Mega) -> None:
     for in_air, depth_m in ((False, DEPTH_M), (True, 0.0)):
         mega.reset(Reset.PIN)
         pilot = Pilot(mega)
-        pilot._now_ns = round(mega.now_us * 1000.0)
+        pilot.now_ns = round(mega.now_us * 1000.0)
         pilot.run(1.0)
         assert pilot.link.telemetry.zero_in_question
         pilot.send(pilot.link.calibrate(pressure=in_air))
@@ -122,13 +122,13 @@ def test_the_stock_bootloader_starts_the_firmware_only_while_nothing_is_sent(meg
     mega.load_bootloader()
     mega.reset(Reset.PIN)
     other = Pilot(mega)
-    other._now_ns = round(mega.now_us * 1000.0)
+    other.now_ns = round(mega.now_us * 1000.0)
     other.run(FIRST_WORD_S)
     assert other.link.telemetry.heartbeats and other.link.telemetry.reset_causes == ()  # the bootloader has cleared MCUSR
     assert other.link.telemetry.restarted and abs(other.link.telemetry.depth_m - DEPTH_M) < 0.02
     mega.reset(Reset.PIN)
     sending = Pilot(mega)
-    sending._now_ns = round(mega.now_us * 1000.0)
+    sending.now_ns = round(mega.now_us * 1000.0)
     sending.run(3.0, *[1500] * 4)
     assert mega.is_in_bootloader and not sending.link.telemetry.heartbeats
 
@@ -154,7 +154,7 @@ class CutBoard:
         mega.eeprom = self._keyed
         mega.reset(Reset.POWER_ON)
         pilot, client = Pilot(mega, KEY), ParameterClient(1, KEY, lambda: stamp)
-        pilot._now_ns = round(mega.now_us * 1000.0)
+        pilot.now_ns = round(mega.now_us * 1000.0)
         pilot.run(0.4)
         sent: list[bytes] = []
 
@@ -182,15 +182,15 @@ class CutBoard:
         for frame in sent:  # somebody who has recorded it
             mega.receive(frame, 0)
             for _ in range(5):
-                pilot._now_ns += STEP_NS
-                listener.receive(mega.step(pilot._now_ns), pilot._now_ns)
+                pilot.now_ns += STEP_NS
+                listener.receive(mega.step(pilot.now_ns), pilot.now_ns)
         armed_again = listener.telemetry.armed
         stamp = 10_000_000
         for _ in range(40):
             mega.receive(client.ask("SLEW_US_S"), 0)
             for _ in range(4):
-                pilot._now_ns += STEP_NS
-                client.receive(mega.step(pilot._now_ns), pilot._now_ns)
+                pilot.now_ns += STEP_NS
+                client.receive(mega.step(pilot.now_ns), pilot.now_ns)
             if "SLEW_US_S" in client.values:
                 break
         return armed, armed_again, client.values["SLEW_US_S"]

@@ -14,7 +14,7 @@ from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import HPA_PER_M
-from tests.firmware.library import PARAMETERS, CReading, FirmwareBoard, built, load
+from tests.firmware.library import PARAMETERS, CReading, FirmwareBoard, core
 
 KEY = Key(bytes(range(1, 33)))
 EEPROM_BYTES, SLOTS, SLOT_BYTES, BYTE_US = 4096, 6, 256, 3400
@@ -61,7 +61,7 @@ class StoredBoard(FirmwareBoard):
 
 @pytest.fixture(scope="module")
 def library() -> ctypes.CDLL:
-    return load(built("build/libboard.so"))
+    return core()
 
 
 @pytest.fixture(scope="module")
@@ -216,7 +216,7 @@ def settled(library: ctypes.CDLL, eeprom: bytes, excess_m: float, rate_radps: fl
     reading = CReading.of(Reading(0.0, rate_radps, (0.0, 0.0, -STANDARD_GRAVITY_MPS2), excess_m), 12.0)
     for count in range(1, 80):
         board.now_us = count * 20_000
-        library.board_step(board._board, board.now_us, ctypes.byref(reading))
+        library.board_step(board._board, board.now_us, ctypes.byref(reading))  # the C struct, which no method passes on
         library.library_busy(count % 2 == 0)  # a byte is not yet written
         board.go(1)
     library.library_busy(False)

@@ -10,7 +10,7 @@ from shoal.mavlink.agent_link import IGNORED
 from shoal.mavlink.signing import Key
 from sim_bridge.thruster_board.parameters import FIXED, VOLATILE, Refusal
 from sim_bridge.thruster_board.state_machine import BoardStateMachine
-from tests.firmware.library import PARAMETERS, FirmwareBoard, built, load
+from tests.firmware.library import PARAMETERS, FirmwareBoard, core
 
 COMPUTER, KEY = (1, 191), Key(bytes(range(32)))
 REFUSALS = [None, Refusal.UNKNOWN, Refusal.RANGE, Refusal.TYPE, Refusal.INCONSISTENT, Refusal.ARMED]
@@ -23,7 +23,7 @@ SEQUENCES = 300
 
 @pytest.fixture(scope="module")
 def library() -> ctypes.CDLL:
-    return load(built("build/libboard.so"))
+    return core()
 
 
 def pulses(draw: random.Random, machine: BoardStateMachine) -> tuple[int, ...]:

@@ -32,16 +32,16 @@ class RestartedBoard(Link):
 
     def __init__(self) -> None:
         start = BoardStart(int(ResetCause.BROWN_OUT), False, Zeros(0.0))
-        self.board, self._now_ns = ThrusterBoard(POOL, 1, 1, zero=SensorZero(start)), 0
+        self.board, self.now_ns = ThrusterBoard(POOL, 1, 1, zero=SensorZero(start)), 0
 
     def send(self, data: bytes) -> None:
-        self.board.receive(data, self._now_ns)
+        self.board.receive(data, self.now_ns)
 
     def read(self) -> bytes:
         data = b""
         for _ in range(10):  # 5 ms each
-            self._now_ns += STEP_NS // 10
-            data += self.board.step(self._now_ns, DEEP, STILL, STILL)
+            self.now_ns += STEP_NS // 10
+            data += self.board.step(self.now_ns, DEEP, STILL, STILL)
         return data
 
     def wait(self, timeout_s: float) -> None: ...
@@ -82,7 +82,9 @@ def stepping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[AgentN
 def refusal(node: AgentNode) -> str:
     inputs = node.agent.inputs
     now_ns = inputs.telemetry.arrival_ns
-    return node.agent._health.arming_refusal(inputs, inputs.station.__class__(7, now_ns, 0.03), now_ns)
+    return node.agent._health.arming_refusal(  # the agent says it only in its state, once a step
+        inputs, inputs.station.__class__(7, now_ns, 0.03), now_ns
+    )
 
 
 def confirm(config: Path, state: Path, *options: str) -> str:
@@ -111,7 +113,7 @@ def test_without_a_program_the_command_tells_the_board_itself(
     agent_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wires = RestartedBoard()
-    while wires.board.zero.status & 0x200 and wires._now_ns < 20 * STEP_NS:
+    while wires.board.zero.status & 0x200 and wires.now_ns < 20 * STEP_NS:
         wires.read()
     assert wires.board.zero.is_in_question
     monkeypatch.setattr(zero_request, "WITHIN_S", 1.0)

@@ -57,8 +57,8 @@ class Swimmer:
 
     def step(self, goal: Goal | None, others: Sequence[Neighbour] = (), obstacles: Sequence[Obstacle] = ()) -> ControlOutput:
         x, y, z, yaw, _, _, _, r, *_ = self.state
-        seen = StateMeasurement(PoseMeasurement(self.k * STEP_NS, x, y, yaw), z, r)
-        output = self.controller.step(seen, goal, others, self.k * STEP_NS, obstacles)
+        measurement = StateMeasurement(PoseMeasurement(self.k * STEP_NS, x, y, yaw), z, r)
+        output = self.controller.step(measurement, goal, others, self.k * STEP_NS, obstacles)
         check(output, self.vehicle)
         self.wrenches.append(required(output.control).wrench_delivered)
         wrench = self.wrenches[-1 - DEAD_STEPS]
@@ -158,19 +158,19 @@ def test_a_driven_robot_has_the_speed_and_the_heading_asked_and_turns_on_the_spo
 def test_the_plan_that_is_told_is_the_one_that_is_flown() -> None:
     """A start with a turn: after two seconds the robot is where it has told that it would be."""
     robot = Swimmer((0.7, 0.1, 0.3, 0.0))
-    told = [robot.step(Follow(GOAL.trajectory, 0.05 * k)).plan_eta for k in range(160)]
+    plans = [robot.step(Follow(GOAL.trajectory, 0.05 * k)).plan_eta for k in range(160)]
     ahead = round(2.0 / TOLD_S)
-    errors = [np.hypot(*(told[k][ahead, :2] - robot.places[k + 40])) for k in range(20, 120)]
+    errors = [np.hypot(*(plans[k][ahead, :2] - robot.places[k + 40])) for k in range(20, 120)]
     assert max(errors) < 0.05 and np.median(errors) < 0.015
-    assert np.allclose(told[30][0, :2], robot.places[30], atol=0.01)
+    assert np.allclose(plans[30][0, :2], robot.places[30], atol=0.01)
 
 
 def test_a_robot_without_thrust_tells_its_drift() -> None:
     robot = Swimmer((0.0, 0.0, 0.3, 0.0), 0.3)
     outputs = [robot.step(None) for _ in range(50)]
-    told = outputs[30].plan_eta  # by then the observer knows how fast it is
+    plan = outputs[30].plan_eta  # by then the observer knows how fast it is
     assert np.all(required(outputs[30].control).wrench == 0.0)
-    assert told[5, 0] == pytest.approx(robot.places[50, 0], abs=0.02) and robot.places[50, 0] - robot.places[30, 0] > 0.08
+    assert plan[5, 0] == pytest.approx(robot.places[50, 0], abs=0.02) and robot.places[50, 0] - robot.places[30, 0] > 0.08
 
 
 def test_a_robot_in_the_way_is_kept_at_its_distance() -> None:
@@ -187,9 +187,9 @@ def test_the_formation_moves_the_course_by_its_share() -> None:
     """A neighbour that is 0.1 m off makes a robot of weight q move by q / (1 + q) of that; one with a leader moves by all."""
     for has_leader, share in ((False, 0.15 / 1.15), (True, 1.0)):
         robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2), has_leader=has_leader)
-        meant = np.tile([3.0, 3.0, 0.3, 0.0], (40, 1))
+        path = np.tile([3.0, 3.0, 0.3, 0.0], (40, 1))
         for k in range(300):
-            other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + np.array([0.0, 0.1, 0.0, 0.0]), meant), True, True, True)
+            other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, path + np.array([0.0, 0.1, 0.0, 0.0]), path), True, True, True)
             robot.step(Follow(GOAL.trajectory, 0.0, 0.0), [other])
         assert robot.places[-1, 1] == pytest.approx(0.1 * share, abs=0.006)
 
@@ -198,9 +198,9 @@ def test_the_formation_moves_the_course_by_its_share() -> None:
 def test_a_plan_that_says_its_robot_is_far_off_takes_no_other_far_along(has_leader: bool) -> None:
     """A wrong plan: 100 m off what it says is its path. Within 8 s a robot went 2.2 m after it."""
     robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2), room_m=(6.0, 4.0), has_leader=has_leader)
-    meant = np.tile([-2.5, -1.5, 0.3, 0.0], (40, 1))
+    path = np.tile([-2.5, -1.5, 0.3, 0.0], (40, 1))
     for k in range(160):
-        other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + np.array([100.0, 0.0, 0.0, 0.0]), meant), True, True, True)
+        other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, path + np.array([100.0, 0.0, 0.0, 0.0]), path), True, True, True)
         output = robot.step(Follow(GOAL.trajectory, 0.05 * k), [other])
         assert output.solve is Solve.SOLVED
         assert math.dist(robot.state[:2], required(output.control).eta_reference[:2]) < 1.25
@@ -224,8 +224,8 @@ def test_a_robot_among_others_that_are_too_near_still_finds_a_plan(robots: int) 
 def test_a_place_to_rest_inside_an_obstacle_is_moved_out_by_the_shortest_way() -> None:
     """A robot brakes too late for a raft 1.2 m wide, which begins 0.18 m before the place where it could stop."""
     raft = np.array([[[0.12, -0.6], [1.3, -0.6], [1.3, 0.6], [0.12, 0.6]]])
-    (seen,) = obstacles_from_message(Obstacles((1,), raft, np.zeros((1, 2)), unseen_s=np.zeros(1)), 0, 0.3)
-    around = Surrounds(NO_BODIES, outlines_of((seen,), 0, 0j), np.array([3.0, 2.0]))
+    (obstacle,) = obstacles_from_message(Obstacles((1,), raft, np.zeros((1, 2)), unseen_s=np.zeros(1)), 0, 0.3)
+    around = Surrounds(NO_BODIES, outlines_of((obstacle,), 0, 0j), np.array([3.0, 2.0]))
     for inside in (0.3 + 0.01j, 0.13 + 0.01j):
         x, y = clear_place(inside, around, 0.05)
         assert x < 0.12 - 0.3 and abs(y) < 0.3  # straight out, within the spacing of the points along the edge
