@@ -4,7 +4,8 @@ Unknowns, channel by channel, planar ones first: surge blocks, yaw blocks, heave
 halved: ||eta - reference||^2_W over the nodes, ||change between blocks||^2_R, slack. Rows: bounds (39) on every block, bounds
 (40) on every change, half-spaces that keep other robots away (36).
 
-The model is linearised around the present state once a control step (linearisation.py); active_set.py solves.
+The model is linearised around the present state once a control step (linearisation.py); active_set.py solves, or OSQP where
+that fails.
 """
 
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from robot_agent.control.linearisation import (
     make_linear_model,
     make_responses,
 )
+from robot_agent.control.osqp_fallback import solve_by_osqp
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import STATES, Model, State
 from shoal.config.controller import MpcConfig
@@ -117,8 +119,8 @@ class Mpc:
         return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, iterations, slack_m)
 
     def _solve(self, keep_clear: HalfSpaces) -> int:
-        """Solve with half-spaces (36) in the first of the rows reserved for them. Returns the solver's rounds; 0: no
-        solution."""
+        """Solve with half-spaces (36) in the first of the rows reserved for them. Returns the rounds of the solver, or OSQP's
+        iterations; 0: no solution."""
         program, working, limits = self._program, self._working, 6 * self._n
         count = limits + len(keep_clear.node)
         rows = slice(limits, count)
@@ -128,7 +130,8 @@ class Mpc:
             there = along * x + across * y
             program.a[rows, :free], program.lower[rows] = there[:, :free], keep_clear.offset - there[:, free]
         working.held[count:] = 0
-        rounds = solve_from(*(self._first_rows(count) if count > limits else self._plain))
+        problem = self._first_rows(count) if count > limits else self._plain
+        rounds = solve_from(*problem) or solve_by_osqp(*problem)
         if rounds == 0:
             working.held[:] = 0
         return rounds

@@ -11,8 +11,19 @@ import numpy as np
 
 from robot_agent.control.nonlinear.first_guess import PilotStyle, guess
 from robot_agent.control.nonlinear.prediction import Dynamics, Grid, PlannedFlight, Start
-from robot_agent.control.nonlinear.program import Course, Iteration, Memory, PlanProblem, appraise, make_memory, step_plan
+from robot_agent.control.nonlinear.program import (
+    Course,
+    Iteration,
+    Memory,
+    PlanProblem,
+    appraise,
+    make_memory,
+    open_program,
+    step_plan,
+    take_change,
+)
 from robot_agent.control.nonlinear.tuning import RETURN_SHARE, SWAY, WRENCH_AXIS, Bandwidths
+from robot_agent.control.osqp_fallback import solve_by_osqp
 from shoal.frames import Array
 
 RIVAL_STEPS = 4  # iterations of a rival: more bring less than 1 % of its cost
@@ -56,9 +67,9 @@ class Planner:
         """Improve the plan, and look for a better one while its mean error is more than `tolerance_m`."""
         if self.is_fresh:
             self._begin(dynamics, problem, tuning)
-            iteration = step_plan(dynamics, self._grid, problem, self._plan, 0.0)
+            iteration = self._improve(self._plan, dynamics, problem, 0.0)
         else:
-            iteration = step_plan(dynamics, self._grid, problem, self._plan, self._period_s)
+            iteration = self._improve(self._plan, dynamics, problem, self._period_s)
         if not (iteration.rounds and math.isfinite(iteration.after)):
             self.forget()
             return iteration._replace(rounds=0)
@@ -72,6 +83,15 @@ class Planner:
             guesses = self._blocked if is_blocked else self._free
             self._guess(self._rival, dynamics, problem, tuning, guesses[self._next % len(guesses)])
             self._next, self._rival_steps, self._since_s = self._next + 1, 1, 0.0
+        return iteration
+
+    def _improve(self, memory: Memory, dynamics: Dynamics, problem: PlanProblem, by_s: float) -> Iteration:
+        """One iteration on a flight of `by_s` ago. OSQP solves the program where the active set does not."""
+        iteration = step_plan(dynamics, self._grid, problem, memory, by_s)
+        if iteration.rounds == 0 and math.isfinite(iteration.before):
+            rounds = solve_by_osqp(*open_program(memory))
+            if rounds:
+                return take_change(dynamics, self._grid, problem, memory, iteration.before, rounds)
         return iteration
 
     def _begin(self, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths) -> None:
@@ -97,7 +117,7 @@ class Planner:
 
     def _compare(self, dynamics: Dynamics, problem: PlanProblem, iteration: Iteration) -> Iteration:
         """Improve the rival, and let it take the plan's place if it is cheaper in the end."""
-        rival = step_plan(dynamics, self._grid, problem, self._rival, self._period_s if self._rival_steps > 1 else 0.0)
+        rival = self._improve(self._rival, dynamics, problem, self._period_s if self._rival_steps > 1 else 0.0)
         self._rival_steps = self._rival_steps + 1 if rival.rounds and self._rival_steps < RIVAL_STEPS else 0
         if self._rival_steps == 0 and rival.rounds and rival.after < CHEAPER * iteration.after:
             self._plan, self._rival = self._rival, self._plan

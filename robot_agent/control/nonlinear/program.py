@@ -289,22 +289,10 @@ def set_bounds(grid: Grid, problem: PlanProblem, memory: Memory) -> int:
     return int(2 * size + rows.used[0])
 
 
-@kernel(part=True)
-def improve(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> Iteration:
-    """One iteration on a flight, in place."""
+@kernel
+def take_change(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory, before: float, rounds: int) -> Iteration:
+    """The flight after the program's change, or after so much of it that its cost does not grow; `before` is that cost."""
     flight, program, axes = memory.flight, memory.program, len(grid.axes)
-    predict(dynamics, grid, problem.start, flight, True)
-    find_rows(problem.surrounds, grid, flight.state, memory.rows)
-    before = cost_of(dynamics, grid, problem, memory)
-    condense(dynamics, grid, problem, flight, program)
-    count = set_bounds(grid, problem, memory)
-    rounds = solve_from(
-        ConvexProgram(program.hessian, program.gradient, program.matrix[:count], program.lower[:count], program.upper[:count]),
-        ActiveSet(program.change, program.dual[:count], program.held[:count], program.work, program.multiplier),
-    )
-    if rounds == 0:
-        program.held[:] = 0
-        return Iteration(before, before, 0.0, 0, deepest_entry(memory.rows, flight.state), memory.rows.used[0] > 0)
     program.old[:] = flight.command
     share, after = 1.0, before
     while share > LEAST_STEP:
@@ -321,9 +309,38 @@ def improve(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
         predict(dynamics, grid, problem.start, flight, False)
         share, after = 0.0, before
     entry_m, binds = deepest_entry(memory.rows, flight.state), False
-    for i in range(2 * len(program.row), count):
+    for i in range(2 * len(program.row), 2 * len(program.row) + memory.rows.used[0]):
         binds |= program.held[i] != 0
     return Iteration(before, after, share, rounds, entry_m, binds)
+
+
+@kernel(part=True)
+def improve(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> Iteration:
+    """One iteration on a flight, in place."""
+    flight, program = memory.flight, memory.program
+    predict(dynamics, grid, problem.start, flight, True)
+    find_rows(problem.surrounds, grid, flight.state, memory.rows)
+    before = cost_of(dynamics, grid, problem, memory)
+    condense(dynamics, grid, problem, flight, program)
+    count = set_bounds(grid, problem, memory)
+    rounds = solve_from(
+        ConvexProgram(program.hessian, program.gradient, program.matrix[:count], program.lower[:count], program.upper[:count]),
+        ActiveSet(program.change, program.dual[:count], program.held[:count], program.work, program.multiplier),
+    )
+    if rounds == 0:
+        program.held[:] = 0
+        return Iteration(before, before, 0.0, 0, deepest_entry(memory.rows, flight.state), memory.rows.used[0] > 0)
+    return take_change(dynamics, grid, problem, memory, before, rounds)
+
+
+def open_program(memory: Memory) -> tuple[ConvexProgram, ActiveSet]:
+    """The program that an iteration without a solution has left, with the rows in use, and where its solution belongs."""
+    program = memory.program
+    count = 2 * len(program.row) + int(memory.rows.used[0])
+    return (
+        ConvexProgram(program.hessian, program.gradient, program.matrix[:count], program.lower[:count], program.upper[:count]),
+        ActiveSet(program.change, program.dual[:count], program.held[:count], program.work, program.multiplier),
+    )
 
 
 @kernel

@@ -60,7 +60,8 @@ class Swimmer:
         measurement = StateMeasurement(PoseMeasurement(self.k * STEP_NS, x, y, yaw), z, r)
         output = self.controller.step(measurement, goal, others, self.k * STEP_NS, obstacles)
         check(output, self.vehicle)
-        self.wrenches.append(required(output.control).wrench_delivered)
+        still = np.zeros(len(self.vehicle.limits.wrench))
+        self.wrenches.append(still if output.control is None else output.control.wrench_delivered)
         wrench = self.wrenches[-1 - DEAD_STEPS]
         for _ in range(5):
             state = self.model.advance(self.state, (0.0,) * 4, tuple(wrench), 0.01)
@@ -169,7 +170,7 @@ def test_a_robot_without_thrust_tells_its_drift() -> None:
     robot = Swimmer((0.0, 0.0, 0.3, 0.0), 0.3)
     outputs = [robot.step(None) for _ in range(50)]
     plan = outputs[30].plan_eta  # by then the observer knows how fast it is
-    assert np.all(required(outputs[30].control).wrench == 0.0)
+    assert outputs[30].control is None and set(outputs[30].pulse_us[:4]) == {1500}
     assert plan[5, 0] == pytest.approx(robot.places[50, 0], abs=0.02) and robot.places[50, 0] - robot.places[30, 0] > 0.08
 
 
@@ -219,6 +220,19 @@ def test_a_robot_among_others_that_are_too_near_still_finds_a_plan(robots: int) 
                 for i, eta in enumerate(stay)
             ]
             assert robot.step(goal or Follow(GOAL.trajectory, 0.05 * k), others).solve is Solve.SOLVED
+
+
+def test_a_robot_in_a_crowd_still_finds_a_plan_where_the_active_set_runs_out_of_rounds() -> None:
+    """Eight others, drawn by chance; OSQP solves the program of step 28."""
+    random = np.random.default_rng(26)
+    places = [random.uniform(0.2, 0.6) * np.exp(2j * math.pi * random.uniform()) for _ in range(int(random.integers(3, 9)))]
+    stay = [np.tile([place.real, place.imag, 0.3, 0.0], (40, 1)) for place in places]
+    robot = Swimmer((0.0, 0.0, 0.3, random.uniform(-3, 3)))
+    for k in range(29):
+        others = [
+            Neighbour(2 + i, k * STEP_NS, Plan(TOLD_S, eta, eta, heard=(1,)), True, False, True) for i, eta in enumerate(stay)
+        ]
+        assert robot.step(Follow(GOAL.trajectory, 0.05 * k), others).solve is Solve.SOLVED
 
 
 def test_a_place_to_rest_inside_an_obstacle_is_moved_out_by_the_shortest_way() -> None:
