@@ -4,6 +4,7 @@ The heartbeat goes out from the same cycle that runs the mission: no thread of i
 orders of a cycle are answered before its heartbeat, so a robot that has the heartbeat has the orders.
 """
 
+import math
 import re
 import threading
 import time
@@ -215,8 +216,8 @@ class Station:
 
     def _patience(self) -> OutOfTime:
         """Limit of time of a plan that begins now; none where time waits: there a plan must not depend on the machine."""
-        closing, deadline_s = self.workers.closing, time.monotonic() + PLANNING_S
-        return lambda: closing.is_set() or (not self.clock.waits and time.monotonic() > deadline_s)
+        closing, deadline_s = self.workers.closing, math.inf if self.clock.waits else time.monotonic() + PLANNING_S
+        return lambda: closing.is_set() or time.monotonic() > deadline_s
 
     def _await_unlocked(self, plan: "Future[PlanSegment | PlanError]") -> None:
         """Wait for a plan without the lock, which the cycle holds: an operator's requests are answered meanwhile."""

@@ -18,7 +18,7 @@ def test_a_station_whose_run_met_not_every_limit_says_so_in_its_exit_code(tmp_pa
     experiment = load_experiment("pool", ["duration_s=1", "limits.rms_m=1e-9"])
     (tmp_path / "experiment.toml").write_text(dump_experiment(experiment))
     address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
-    station, *others = programs(experiment.robot_ids, RunOptions(lockstep=True, poses=True), tmp_path, address, ports)
+    station, *others = programs(experiment.robot_ids, RunOptions(poses=True), tmp_path, address, ports)
     words = [word for word in station.arguments if word != "--no-report"]
     started = [
         subprocess.Popen([sys.executable, "-m", program.module, *program.arguments], stderr=subprocess.DEVNULL)

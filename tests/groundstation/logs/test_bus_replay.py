@@ -120,7 +120,7 @@ def test_replay_publishes_no_topic_that_moves_a_robot(tmp_path: Path) -> None:
 
 def test_every_topic_is_either_replayed_or_left_out_by_its_kind() -> None:
     """A new topic is not replayed until somebody has thought about it."""
-    motion = {topics.HEARTBEAT, topics.TRAJECTORY, topics.TUNING, topics.INPUTS, topics.COMMANDS}
+    motion = {topics.HEARTBEAT, topics.TRAJECTORY, topics.TUNING, topics.INPUTS, topics.COMMANDS, topics.FAULT}
     assert set(TOPICS) == set(SEEN_AND_SAID) | motion | {topics.TICK, topics.EXPOSED, topics.FRAME}
 
 

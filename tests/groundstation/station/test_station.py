@@ -144,6 +144,7 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
             PlanRequest("another path", lambda out_of_time: dict[str, PlanSegment]()["robot 3"]),
         )
         with station.lock:
+            station.clock = LockstepClock()
             station.plan(0)
         assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
@@ -638,8 +639,7 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
     hub, stop = MemoryHub(), Stop(install=False)
     bus, person = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     beats = person.inbox(topics.HEARTBEAT, StationHeartbeat)
-    options = {"automatic": False, "lockstep": False, "stop": stop}
-    station = process.cycles(experiment, dump_experiment(experiment), bus, tmp_path, **options)  # type: ignore[arg-type]
+    station = process.cycles(experiment, dump_experiment(experiment), bus, tmp_path, automatic=False, stop=stop)
     thread = threading.Thread(target=run_steps, args=(station,))
     thread.start()
     gaps_s = []
