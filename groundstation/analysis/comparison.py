@@ -15,7 +15,7 @@ import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.frames import Array, pose_error
-from shoal.messages.messages import Mode, RobotState
+from shoal.messages.messages import Mode, RobotState, required
 
 SETTLED_S = 20.0
 ERROR_STRIDE = 10  # of control steps, in a plot's trace
@@ -163,8 +163,8 @@ def flight_traces(period_s: float, states: list[list[RobotState]], error: Array)
 
 
 def _values(states: list[list[RobotState]], key: str) -> Array:
-    """A field of all states, (n, steps, 3)."""
-    return np.array([[getattr(state, key) for state in each] for each in states])
+    """A field of the control in all states, (n, steps, 3)."""
+    return np.array([[getattr(required(state.control), key) for state in each] for each in states])
 
 
 def _rms_all(values: Array) -> float:

@@ -46,7 +46,7 @@ def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str
 
 
 def _of(flight: SceneFlight, key: str) -> Array:
-    return np.array([[getattr(state, key) for state in states] for states in flight.states])
+    return np.array([[getattr(required(state.control), key) for state in states] for states in flight.states])
 
 
 def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:

@@ -106,7 +106,7 @@ def test_inputs_keep_their_limits_and_every_step_is_solved(name: str) -> None:
     limits = flight.experiment.vehicle.limits
     for states in flight.states:
         assert all(required(state.control).solve is Solve.SOLVED and state.mode is Mode.TRACKING for state in states)
-        wrench, steps = (np.array([getattr(s, key) for s in states]) for key in ("wrench", "wrench_step"))
+        wrench, steps = (np.array([getattr(required(s.control), key) for s in states]) for key in ("wrench", "wrench_step"))
         assert np.all(np.abs(wrench) <= np.array(limits.wrench) + 1e-12)
         assert np.all(np.abs(steps) <= np.array(flight.experiment.wrench_step) + 1e-12)
         np.testing.assert_allclose(np.diff(wrench, axis=0), steps[1:], atol=1e-12)

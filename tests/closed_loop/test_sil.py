@@ -134,8 +134,8 @@ def test_its_steps_done_again_come_out_the_same_to_the_last_bit(lockstep_run: tu
 def test_another_weight_would_have_asked_for_other_thrust(lockstep_run: tuple[Path, int, str]) -> None:
     (robot,) = rerun(lockstep_run[0], "--robot", "2", "--set", "controller.nmpc.turning_m=0.1")
     differing = {difference["field"]: difference for difference in robot["differences"]}
-    assert differing["wrench"]["largest"] > 1e-3
-    assert "eta" not in differing  # what was estimated rests on what was sent, not on what would have been
+    assert differing["control.wrench"]["largest"] > 1e-3
+    assert "estimate.eta" not in differing  # what was estimated rests on what was sent, not on what would have been
 
 
 def go_on(folder: Path, out: Path, *arguments: str) -> tuple[int, str]:

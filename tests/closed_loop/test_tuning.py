@@ -109,7 +109,8 @@ def ids(lab: TuningLab) -> list[set[str]]:
 
 
 def wrenches(states: list[RobotState]) -> Array:
-    return np.array([required(state.control).wrench for state in states])
+    """The wrenches (steps, 3); zeros while the thrusters stand still."""
+    return np.array([np.zeros(3) if state.control is None else state.control.wrench for state in states])
 
 
 def until(lab: TuningLab, done: Callable[[], bool], within_s: float) -> None:

@@ -283,7 +283,7 @@ def test_the_log_holds_the_gains_and_the_solver_had_them(flight: OperatorFlight)
     (other,) = rerun(recorded, [1], [f"controller.nmpc.turning_m={TURNING}"])
     assert other.compared == len(flown[0])
     since = next(k for k, (_, name) in enumerate(flown[0]) if name == b.id)
-    apart_n = np.abs(other.before["wrench"] - other.after["wrench"]).max(axis=1)
+    apart_n = np.abs(other.before["control.wrench"] - other.after["control.wrench"]).max(axis=1)
     assert apart_n[:since].max() > 0.005  # still another solver
 
 
