@@ -17,7 +17,7 @@ from benchmarks.harness import Row
 from groundstation.planning import planner
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
-from shoal.messages.messages import Trajectory, required
+from shoal.messages.messages import Trajectory
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from sim_bridge.studies.worker_pool import worker_pool
 
@@ -73,7 +73,7 @@ def meet(experiment: Experiment, seed: int) -> Encounter:
         seed,
         min((_apart(track, a, b) for a, b in combinations(range(len(starts)), 2)), default=float("inf")),
         _clearance(experiment, track),
-        max(required(state.control).slack_m for robot in fleet.robots for state in robot.states),
+        max((s.control.slack_m for robot in fleet.robots for s in robot.states if s.control is not None), default=0.0),
         tuple(_arrival(each, experiment.controller.period_s) for each in away),
         track,
     )

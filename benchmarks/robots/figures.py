@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.robots.claims import GROUPS
 from benchmarks.robots.flights import STOPPED, FlightLog
 from shoal.frames import Array
-from shoal.messages.messages import Mode, required
+from shoal.messages.messages import Control, Mode, required
 
 SETTLED_M = 0.05  # this near a robot counts as on its path, or in its place
 STEADY_S = 20.0  # RMS are from here on, as in all other tables of this project
@@ -73,8 +73,9 @@ def figures(log: FlightLog) -> FlightFigures:
     away_m = [float(np.median(values, axis=0).max()) for values in (off_m[last], place[-_rows(log, LAST_S) :]) if len(values)]
     fell = is_stop and log.hold_row is None  # on its path
     stop_s, reason = _stop(log)
-    wrench = np.array([[required(s.control).wrench for s in states] for states in log.states])
-    step = np.array([[required(s.control).wrench_step for s in states] for states in log.states])
+    still = Control(wrench=np.zeros(3), wrench_step=np.zeros(3))  # of a robot that has stopped
+    controls = [[s.control or still for s in states] for states in log.states]
+    wrench, step = (np.array([[getattr(c, key) for c in each] for each in controls]) for key in ("wrench", "wrench_step"))
     meets = len(log.states) > 1
     return FlightFigures(
         *head,

@@ -25,6 +25,7 @@ from shoal.messages import topics
 from shoal.messages.camera_coverage import project
 from shoal.messages.codec import DecodeError, decode
 from shoal.messages.messages import Estimate, Mode, Picture, Preview, RobotState, StationHeartbeat, Video
+from shoal.runtime.output_files import replacing
 
 CLOCK_HZ = 90_000  # of the film's stamps
 NEVER_MS = 1e6  # age of a pose that never came: such a robot does not know where it is
@@ -47,7 +48,7 @@ def write_film(run: Path, out: Path, camera: str = "") -> int:
     if out.suffix != ".mp4":
         raise ConfigError(f"--video {out}: must end in .mp4")
     overlay, written, begin_ns = Overlay(experiment, experiment.of_camera(camera).camera), 0, 0
-    with open_log(run) as log, av.open(str(out), "w") as film:
+    with open_log(run) as log, replacing(out) as file, av.open(file, "w", format="mp4") as film:
         stream: Any = None
         for stamp_ns, picture in _pictures(log, overlay, av, camera):
             if stream is None:
@@ -59,11 +60,11 @@ def write_film(run: Path, out: Path, camera: str = "") -> int:
             frame.pts, frame.time_base = (stamp_ns - begin_ns) * CLOCK_HZ // 10**9, Fraction(1, CLOCK_HZ)
             film.mux(stream.encode(frame))
             written += 1
-        if stream is not None:
-            film.mux(stream.encode())
-    if not written:
-        out.unlink(missing_ok=True)
-        raise ConfigError(f"{run}: the log holds no pictures of the camera (recording.video or recording.preview keep them)")
+        if stream is None:
+            raise ConfigError(
+                f"{run}: the log holds no pictures of the camera (recording.video or recording.preview keep them)"
+            )
+        film.mux(stream.encode())
     return written
 
 

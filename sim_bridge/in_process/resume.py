@@ -25,7 +25,7 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import decode
-from shoal.messages.messages import Event, Mode, Plan, RobotState, Truth, required
+from shoal.messages.messages import Event, Mode, Plan, RobotState, Truth
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
 from sim_bridge.replay.rerun import Rerun
@@ -112,7 +112,9 @@ def _pose_at_moment(memory: RobotHistory, row: int, robots: Sequence[int]) -> tu
     stamps = np.array([stamp for stamp, _ in memory.truths], dtype=np.float64)
     truths = [truth for _, truth in memory.truths if truth.robots == tuple(robots)]
     if len(truths) != len(stamps) or len(stamps) < 2 or np.abs(stamps - memory.now_ns).min() > SAME_CLOCK_NS:
-        estimate = required(memory.state.estimate)
+        estimate = memory.state.estimate
+        if estimate is None:
+            raise ConfigError("at that moment a robot does not know where it is, and the log has no truth of it")
         return estimate.eta, estimate.nu
 
     def between(rows: Array) -> Array:

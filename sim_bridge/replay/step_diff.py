@@ -185,9 +185,10 @@ def _same(one: Any, other: Any) -> bool:
 def _difference(name: str, old: Sequence[Any], new: Sequence[Any], differs: Array, time_s: Array) -> Difference:
     steps, first_s = int(differs.sum()), float(time_s[np.flatnonzero(differs)[0]])
     pairs = [(_row(a), _row(b)) for a, b in zip(old, new, strict=True)]
-    if not all(a is not None and b is not None and a.shape == b.shape for a, b in pairs):
+    both = [(a, b) for a, b in pairs if a is not None and b is not None]  # a part of a state is not there at every step
+    if not both or any(row.shape != both[0][0].shape for pair in both for row in pair):
         return Difference(name, steps, first_s, None, None)
-    apart = np.array([b - a for a, b in pairs if a is not None and b is not None])
+    apart = np.array([b - a for a, b in both])
     if name in ANGLES:
         apart[:, ANGLES[name]] = wrap_angle(apart[:, ANGLES[name]])
     rms = float(np.sqrt((apart**2).mean(axis=0)).max())
