@@ -12,7 +12,9 @@ CHANGES = [{"at_s": 2.0, "over_s": 6.0, "scale": 0.85}, {"at_s": 8.0, "over_s": 
 flown = shoal.simulate("open-water", {"formation.changes": CHANGES}, duration_s=13.0)
 one, two = flown.table("state", 1), flown.table("state", 2)
 steps = min(len(one["time_s"]), len(two["time_s"]))
-apart = np.hypot(one["x_m"][:steps] - two["x_m"][:steps], one["y_m"][:steps] - two["y_m"][:steps])
+apart = np.hypot(
+    one["estimate.x_m"][:steps] - two["estimate.x_m"][:steps], one["estimate.y_m"][:steps] - two["estimate.y_m"][:steps]
+)
 for moment_s in (2.0, 8.0, 12.0):
     at = int(np.searchsorted(one["time_s"][:steps], moment_s))
     print(f"{moment_s:4.0f} s: {apart[at]:.2f} m apart")

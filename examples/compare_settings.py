@@ -11,7 +11,9 @@ import shoal
 def worst_error_m(flown: shoal.FlownRun, robot: int) -> float:
     """Largest distance from the trajectory after 3 s."""
     state = flown.table("state", robot)
-    off = np.hypot(state["x_m"] - state["reference_x_m"], state["y_m"] - state["reference_y_m"])
+    off = np.hypot(
+        state["estimate.x_m"] - state["control.reference_x_m"], state["estimate.y_m"] - state["control.reference_y_m"]
+    )
     return float(off[state["time_s"] > 3.0].max())
 
 

@@ -60,7 +60,7 @@ class Bites:
         if hint is str:
             return self.take(self.byte(6)).decode("latin1")
         if nested(hint) is not None:
-            return self.message(nested(hint)) if self.byte(2) else None
+            return self.message(nested(hint)) if nested(hint) is hint or self.byte(2) else None
         if isinstance(hint, type) and issubclass(hint, IntEnum):
             members = tuple(hint)
             return members[self.byte(len(members))]
