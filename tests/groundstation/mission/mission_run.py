@@ -12,7 +12,19 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
 from shoal.config.experiment import Experiment, load_experiment
-from shoal.messages.messages import BoardReading, Command, Estimate, Mode, Order, Pose, Reply, RobotState, Track, Trajectory
+from shoal.messages.messages import (
+    BoardReading,
+    Command,
+    Control,
+    Estimate,
+    Mode,
+    Order,
+    Pose,
+    Reply,
+    RobotState,
+    Track,
+    Trajectory,
+)
 
 STEP_NS = 50_000_000
 
@@ -80,6 +92,7 @@ class ObedientRobot:
             blind=self.blind,
             board=BoardReading(battery_v=self.battery_v),
             estimate=Estimate(eta=np.array(self.eta)),
+            control=Control() if self.mode in LIVE else None,
         )
         if self.unknown:
             return RobotView()
