@@ -139,7 +139,7 @@ def propagate(
     return state
 
 
-@kernel
+@kernel(part=True)
 def drag(model: Table, u: float, v: float) -> Pair:
     """Deceleration in m/s^2 by drag at horizontal velocities u, v through the water."""
     speed = math.hypot(u, v)

@@ -96,12 +96,14 @@ class _Invalid(Exception):
 
 
 @cache
-def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], bool], ...]:
-    """Per field of a message: its name, the checked conversion from the protobuf value, and whether it is a message."""
+def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], type | None, bool], ...]:
+    """Per field of a message: its name, the checked conversion from the protobuf value, the message class that it holds, and
+    whether that may be absent."""
     hints = get_type_hints(cls)
     return tuple(
-        (f.name, _reader(hints[f.name], f.metadata), nested_message(hints[f.name]) is not None)
+        (f.name, _reader(hints[f.name], f.metadata), nested, nested is not hints[f.name])
         for f in dataclasses.fields(cls)
+        for nested in (nested_message(hints[f.name]),)
     )
 
 
@@ -199,8 +201,10 @@ def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
 def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
     """Build a dataclass from its protobuf message. Raises _Invalid for a field that breaks its rules."""
     values: dict[str, Any] = {}
-    for name, read, is_message in _fields(cast(Any, cls)):
-        absent = is_message and not message.HasField(name)
+    for name, read, nested, may_be_absent in _fields(cast(Any, cls)):
+        absent = nested is not None and not message.HasField(name)
+        if absent and not may_be_absent:
+            raise _Invalid(prefix + name, "is missing")
         values[name] = getattr(cls, name) if absent else read(getattr(message, name), prefix + name)
     first, *others = _growing(cast(Any, cls)) or ("",)
     if wrenches := _wrenches(cast(Any, cls)):
@@ -233,7 +237,7 @@ def _shape_wrenches(values: dict[str, Any], names: tuple[str, ...], rows: int | 
 
 
 def _to_protobuf(message: Any, target: Any) -> Any:
-    for name, _, is_message in _fields(cast(Any, type(message))):
+    for name, _, is_message, _ in _fields(cast(Any, type(message))):
         value = getattr(message, name)
         kind = type(value)
         if kind is float or kind is int:

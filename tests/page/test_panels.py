@@ -211,14 +211,14 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         expect(tile(page, 2)).to_contain_text("from its place50 mm")
         figures = page.locator(".plot")
         expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")
-        page.get_by_label("What plot 3 shows").select_option("state.loss")  # of before it was asked for, too
+        page.get_by_label("What plot 3 shows").select_option("state.board.loss")  # of before it was asked for, too
         expect(figures.nth(2).locator(".u-legend")).to_contain_text("0.50")
         page.get_by_label("Layouts of the plots").select_option("+")
         page.get_by_label("Name of this layout").locator("input").fill("mine")
         answer(page, "Save")
         page.goto(f"{desk.url}?plots=tracking")
         page.get_by_label("Layouts of the plots").select_option("=mine")
-        expect(page.get_by_label("What plot 3 shows")).to_have_value("state.loss")
+        expect(page.get_by_label("What plot 3 shows")).to_have_value("state.board.loss")
         desk.robots.publish(topics.STATE, RobotState(board=BoardReading(loss=0.25)), time.time_ns(), 1)
         expect(tile(page, 1)).to_contain_text("25 %")
         expect(tile(page, 1)).not_to_contain_text("thrust")  # it learns nothing

@@ -70,8 +70,9 @@ def test_half_spaces_stop_it() -> None:
 
 
 def refuse(patch: pytest.MonkeyPatch) -> None:
-    """From now on the solver finds nothing."""
+    """From now on no solver finds anything."""
     patch.setattr(mpc_module, "solve_from", lambda program, working: 0)
+    patch.setattr(mpc_module, "solve_by_osqp", lambda program, working: 0)
 
 
 def test_failures_are_bridged_by_the_last_plan_then_neutral(monkeypatch: pytest.MonkeyPatch) -> None:

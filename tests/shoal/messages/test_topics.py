@@ -14,7 +14,9 @@ from shoal.messages.messages import (
     BoardReading,
     Command,
     CommandTaken,
+    Control,
     DriveVelocity,
+    Estimate,
     Event,
     Frame,
     Message,
@@ -23,6 +25,7 @@ from shoal.messages.messages import (
     Picture,
     Preview,
     Reply,
+    StepTiming,
     Video,
 )
 from shoal.messages.topics import TOPICS, Qos, Topic
@@ -105,8 +108,11 @@ def test_a_recorded_topic_has_a_schema(topic: Topic) -> None:
         assert len(parsed.dependency) == len(descriptor.file.dependencies)
 
 
+PARTS = {BoardReading, Estimate, Control, StepTiming}  # of a robot's state
+
+
 def test_every_message_has_a_topic_or_is_part_of_another() -> None:
-    assert set(CLASSES) == {topic.type for topic in TOPICS} | {Command, DriveVelocity, Outcome, Reply, BoardReading}
+    assert set(CLASSES) == {topic.type for topic in TOPICS} | {Command, DriveVelocity, Outcome, Reply, *PARTS}
     once = [topic for topic in TOPICS if topic is not topics.EXPOSED]  # a tick, which the localizer is told of earlier
     assert len({topic.type for topic in once}) == len(once)
 
