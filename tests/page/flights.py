@@ -89,11 +89,8 @@ class OperatorFlight:
         assert self.process is not None
         for child in psutil.Process(self.process.pid).children():
             arguments = child.cmdline()
-            if (
-                {"robot_agent", "sim_bridge.lockstep"} & set(arguments)
-                and "--robot" in arguments
-                and arguments[arguments.index("--robot") + 1] == str(robot)
-            ):
+            is_agent = "robot_agent" in arguments or {"sim_bridge.lockstep", "agent"} <= set(arguments)
+            if is_agent and arguments[arguments.index("--robot") + 1] == str(robot):
                 return child
         raise AssertionError(f"no agent {robot}")
 

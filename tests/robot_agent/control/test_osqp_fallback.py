@@ -37,7 +37,7 @@ def test_the_optimum_is_that_of_the_active_set(seed: int) -> None:
 
 @pytest.mark.parametrize("which", range(5))
 @pytest.mark.parametrize("poison", [math.nan, "crossed"])
-def test_what_cannot_be_solved_is_refused(which: int, poison: float | str) -> None:
+def test_bad_numbers_and_crossed_bounds_are_refused(which: int, poison: float | str) -> None:
     program, working = problem(1), make_active_set(N, M)
     if poison == "crossed":
         program.lower[0], program.upper[0] = 1.0, -1.0

@@ -9,7 +9,7 @@ from groundstation.logs.recorder import Recorder, run_metadata
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import encode
-from shoal.messages.messages import Event, Plan, RobotState
+from shoal.messages.messages import Estimate, Event, Plan, RobotState
 from sim_bridge.replay.step_diff import StepOutputs, compare
 from sim_bridge.replay.step_replay import recorded_by_other_code
 
@@ -39,7 +39,7 @@ def test_a_plan_that_the_log_lost_is_named_and_is_no_difference() -> None:
     before, after = StepOutputs(), StepOutputs()
     for stamp_ns in range(6):
         for outputs in (before, after):
-            outputs.add(topics.STATE, stamp_ns, encode(RobotState(trajectory_s=0.05)))
+            outputs.add(topics.STATE, stamp_ns, encode(RobotState(trajectory_s=0.05, estimate=Estimate())))
             if outputs is after or stamp_ns != lost_ns:
                 outputs.add(topics.PLAN, stamp_ns, encode(Plan(0.05, np.zeros((2, 4)), np.zeros((2, 4)))))
     again = compare(1, before, after, same_experiment=True)

@@ -566,10 +566,8 @@ def test_a_curve_without_thrust_is_refused_and_makes_no_other_neutral() -> None:
 
 def test_fewer_thrusters_than_the_vehicle_has_are_refused() -> None:
     """An output that were an ankle's would hold its thrust while disarmed."""
-    eight = PARAMETERS.changed("THR_COUNT", 8)
-    assert isinstance(eight, Parameters)
-    rules = BoardStateMachine(Parameters(eight.table, eight.values, eight.values), COMPUTER)
-    assert rules.change("THR_COUNT", 4) is Refusal.INCONSISTENT
+    rules = BoardStateMachine(Parameters.of(load_experiment("pool", ["vehicle=vectored"])), COMPUTER)
+    assert rules.parameters["THR_COUNT"] == 8.0 and rules.change("THR_COUNT", 4) is Refusal.RANGE
 
 
 def test_trims_move_no_output_beyond_its_limits() -> None:
