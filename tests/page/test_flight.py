@@ -284,7 +284,7 @@ def test_the_log_holds_the_gains_and_the_solver_had_them(flight: OperatorFlight)
     assert other.compared == len(flown[0])
     since = next(k for k, (_, name) in enumerate(flown[0]) if name == b.id)
     apart_n = np.abs(other.before["control.wrench"] - other.after["control.wrench"]).max(axis=1)
-    assert apart_n[:since].max() > 0.005  # still another solver
+    assert np.nanmax(apart_n[:since]) > 0.005  # still another solver; NaN where the thrusters stood still
 
 
 @contextmanager
