@@ -54,6 +54,7 @@ SAID: list[tuple[Topic, int, Any]] = [
     (topics.TUNING, 0, m.Tuning("set", ("controller.mpc.q.0", "controller.mpc.q.1"), np.array([1.0, 2.0]))),
     (topics.INPUTS, 1, m.StepInputs(7, POSE, board=m.BoardReading(5, depth_m=0.31), plan_robots=(2,), plan_sessions=(255,))),
     (topics.INPUTS, 1, m.StepInputs(8)),
+    (topics.FAULT, 0, m.FaultRequest("camera frozen", 2.0)),
     (
         topics.COMMANDS,
         1,
