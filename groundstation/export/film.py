@@ -28,7 +28,6 @@ from shoal.messages.messages import Estimate, Mode, Picture, Preview, RobotState
 from shoal.runtime.output_files import replacing
 
 CLOCK_HZ = 90_000  # of the film's stamps
-NEVER_MS = 1e6  # age of a pose that never came: such a robot does not know where it is
 TRAIL = 600  # states of a robot's trail: half a minute
 RING = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 33)])
 FLIES = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
@@ -106,7 +105,7 @@ class Overlay:
         """Take in what a robot or the station said."""
         if isinstance(message, StationHeartbeat):
             self._began_ns, self._mission = message.began_ns or self._began_ns, message.mission
-        elif robot in self._trails and message.estimate is not None and message.timing.pose_age_ms < NEVER_MS:
+        elif robot in self._trails and message.estimate is not None:
             self._states[robot] = message, message.estimate
             self._trails[robot].append(message.estimate.eta[:3])
 
