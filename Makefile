@@ -118,7 +118,7 @@ lock: ## resolve the newest versions pyproject.toml allows into constraints.txt
 	$(PYTHON) -m venv .venv-lock
 	.venv-lock/bin/python -m pip install --quiet -e '.[dev]'
 	.venv-lock/bin/python -m pip install --quiet --no-deps MAVProxy
-	.venv-lock/bin/python -m pip freeze --exclude-editable | LC_ALL=C sort -f > constraints.txt
+	.venv-lock/bin/python -m pip freeze --all --exclude pip --exclude-editable | LC_ALL=C sort -f > constraints.txt
 	rm -rf .venv-lock
 
 clean: ## remove the environments and caches; runs/ stays
