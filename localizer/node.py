@@ -271,16 +271,18 @@ class LocalizerNode:
             for robot, state in newest_states.items()
             if state is not None
             and age_s(self._clock, state) <= limit_s
+            and state.message.timing.board_age_ms is not None
             and state.message.timing.board_age_ms <= limit_s * 1e3
         }
 
     def _attitude(self, state: Received[RobotState], exposed_ns: int) -> Attitude | None:
         """Roll and pitch at the exposure, if the robot's board measures them."""
-        if state.message.board is None:
+        board, age_ms = state.message.board, state.message.timing.board_age_ms
+        if board is None or age_ms is None:
             return None
-        measured_ns = self._clock.instant_ns(state) - state.message.timing.board_age_ms * 1e6
+        measured_ns = self._clock.instant_ns(state) - age_ms * 1e6
         later_s = (exposed_ns - measured_ns) * 1e-9
-        return Attitude.at(state.message.board.tilt, later_s, self._experiment.localizer.attitude_sigma_rad)
+        return Attitude.at(board.tilt, later_s, self._experiment.localizer.attitude_sigma_rad)
 
     def _own(self, topic: Topic) -> Topic:
         """The topic of this localizer's camera."""

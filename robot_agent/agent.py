@@ -8,6 +8,7 @@ Data flow of `Agent.step`:
 The same code runs in a pool and in the simulator; sockets and clock are in robot_agent/node.py.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -348,7 +349,6 @@ class Agent:
     ) -> RobotState:
         """The robot's state as it is told to station and log."""
         telemetry, pose = inputs.telemetry, inputs.pose
-        unheard = 1e6  # finite stand-in for "never", in milliseconds: every number on the wire is finite
         return RobotState(
             mode=self.mode,
             fault=self._fault,
@@ -365,9 +365,7 @@ class Agent:
             estimate=output.estimate,
             control=output.control,
             board=board_reading(telemetry) if telemetry.board_ms >= 0 else None,
-            timing=StepTiming(
-                pose_age_ms=min(health.pose_age_s * 1e3, unheard), board_age_ms=min(health.board_age_s * 1e3, unheard)
-            ),
+            timing=StepTiming(pose_age_ms=_known_ms(health.pose_age_s), board_age_ms=_known_ms(health.board_age_s)),
         )
 
 
@@ -418,3 +416,8 @@ def unacceptable(robot: int, experiment_hash: str, header: Header, command: Comm
     if command.experiment_hash != experiment_hash:
         return f"is for experiment {command.experiment_hash[:8]}, this robot holds {experiment_hash[:8]}"
     return ""
+
+
+def _known_ms(age_s: float) -> float | None:
+    """An age in milliseconds; None where it is infinite, of what never came."""
+    return age_s * 1e3 if math.isfinite(age_s) else None
