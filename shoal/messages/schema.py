@@ -38,7 +38,7 @@ def nested_message(hint: Any) -> type | None:
 
 
 def may_be_absent(hint: Any) -> bool:
-    """Whether a field of this type may be None."""
+    """Say whether a field of this type may be None."""
     return types.NoneType in get_args(hint)
 
 
