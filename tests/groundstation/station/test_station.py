@@ -46,6 +46,7 @@ from shoal.messages.messages import (
     Reply,
     RobotState,
     StationHeartbeat,
+    StepTiming,
     Track,
     Trajectory,
 )
@@ -55,6 +56,7 @@ from shoal.runtime.version import code
 from sim_bridge.lockstep.clock import LockstepClock
 from tests.waiting import eventually
 
+FRESH = StepTiming(board_age_ms=20.0)
 pytestmark = pytest.mark.real_time
 
 PERIOD_S = 0.125
@@ -85,6 +87,17 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
             subscribe_fleet(bus, experiment.robot_ids), threads, starts,
         )  # fmt: skip
     recorder.close()
+
+
+def test_what_the_recorder_has_to_say_is_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Recorder, "warning", "pictures are not recorded any longer")
+    with a_station(tmp_path) as station, caplog.at_level(logging.WARNING, "shoal"):
+        for _ in range(3):
+            station.cycle(station.clock.now_ns())
+    said = [record.message for record in caplog.records if record.message.startswith("recorder: ")]
+    assert said == ["recorder: pictures are not recorded any longer"]
 
 
 def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
@@ -213,7 +226,12 @@ class ObedientFleet:
 
     def tell(self) -> None:
         for robot, mode in self.modes.items():
-            state = RobotState(mode=mode, experiment_hash=self.experiment.hash, board=BoardReading(battery_v=12.0))
+            state = RobotState(
+                mode=mode,
+                experiment_hash=self.experiment.hash,
+                board=BoardReading(battery_v=12.0),
+                timing=FRESH,
+            )
             self.bus.publish(topics.STATE, state, time.time_ns(), robot)
 
     def until(self, station: Station, done: Callable[[], bool]) -> None:
@@ -579,7 +597,11 @@ def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path)
         fleet = Bus(MemoryTransport(hub))
         for hash_, blocks in (("0" * 64, True), (station.experiment.hash, False), ("", False)):  # the last: an earlier version
             fleet.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, experiment_hash=hash_), time.time_ns())
-            state = RobotState(experiment_hash=station.experiment.hash, board=BoardReading(battery_v=12.0))
+            state = RobotState(
+                experiment_hash=station.experiment.hash,
+                board=BoardReading(battery_v=12.0),
+                timing=FRESH,
+            )
             fleet.publish(topics.STATE, state, time.time_ns(), 1)
             station.cycle(station.clock.now_ns())
             view = replace(station.status().views[1], state_age_s=0.0)
@@ -594,7 +616,7 @@ def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path)
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
         programs = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-        state = RobotState(experiment_hash=station.experiment.hash, board=BoardReading(battery_v=12.0))
+        state = RobotState(experiment_hash=station.experiment.hash, board=BoardReading(battery_v=12.0), timing=FRESH)
         for number in (0, 1, 0):
             programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
             programs[number].publish(topics.STATE, state, time.time_ns(), 1)
@@ -616,7 +638,7 @@ def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_t
             LocalizerStatus(CameraHealth.OK, code="0.1.0 8289d898"),
         )
         for robot, its, hash_ in ((1, own, station.experiment.hash), (2, "", "0" * 64)):
-            state = RobotState(experiment_hash=hash_, code=its, board=BoardReading(battery_v=12.0))
+            state = RobotState(experiment_hash=hash_, code=its, board=BoardReading(battery_v=12.0), timing=FRESH)
             fleet.publish(topics.STATE, state, time.time_ns(), robot)
         fleet.publish(topics.LOCALIZER, localizer, time.time_ns())
         for _ in range(2):
