@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR
-from localizer.node import LocalizerNode
+from localizer.node import FrameOutlets, LocalizerNode
 from localizer.sources.base import CapturedFrame
 from localizer.sources.recording import FRAMES, FrameRecorder, RecordedFrame, recorded_frames
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
@@ -277,7 +277,7 @@ def _localize(folder: Path, **recording: Any) -> list[tuple[int, bytes]]:
     with closing(FrameRecorder(folder, EXPERIMENT, waits=True, **recording)) as recorder:
         clock = LockstepClock()
         camera = _LeaningRobots(ours, clock)
-        LocalizerNode(EXPERIMENT, bus, Stop(install=False), clock, camera, recorder=recorder).run()
+        LocalizerNode(EXPERIMENT, bus, Stop(install=False), clock, camera, FrameOutlets(recorder=recorder)).run()
     return [(header.stamp_ns, payload) for _, _, header, payload in published()]
 
 
