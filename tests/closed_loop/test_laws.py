@@ -5,13 +5,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from benchmarks.flights import SceneFlight
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Solve, required
-from tests.closed_loop.numeric import flown
+from tests.flights.scene_flights import SceneFlight, flown_once
 
 pytestmark = pytest.mark.long
 
@@ -20,7 +19,7 @@ FOLLOWING = "formation.kind=leader-follower"
 
 
 def flight(law: str, *settings: str) -> SceneFlight:
-    return flown("numeric", "duration_s=25", f"controller.law={law}", *settings)
+    return flown_once("numeric", "duration_s=25", f"controller.law={law}", *settings)
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -5,18 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.flights import flown
-from benchmarks.scenes import SCENES
 from groundstation.planning import planner
 from groundstation.report.report import evaluated
 from localizer.evaluation.runner import evaluate_log
 from shoal.bus.memory_transport import MemoryHub
-from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.experiment import EXPERIMENTS, Experiment, load_experiment
 from shoal.frames import Array
 from sim_bridge.in_process.executor import Executor
+from tests.flights.scene_flights import flown
 
 pytestmark = pytest.mark.long
 
+SCENES = tuple(sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 # Seconds of flight: past the instant at which a scene has failed before, at a cost of 60 s of processor time for all of them.
 # `make scenes` flies them whole, ten seeds each.
 BEGINNING_S = {

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.robots.water import TrueState
 from robot_agent.agent import Agent
 from robot_agent.vehicle.filter_bank import CURRENT_X, CURRENT_Y, YAW, R, U, V, X, Y
 from robot_agent.vehicle.kalman import KalmanEstimator
 from shoal.frames import Array, wrap
+from tests.flights.water import TrueState
 
 KALMAN = ("x", "y", "yaw", "u", "v", "r", "current_x", "current_y")  # what the Kalman observer claims
 CLAIMED = [X, Y, YAW, U, V, R, CURRENT_X, CURRENT_Y]
