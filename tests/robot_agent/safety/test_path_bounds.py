@@ -13,6 +13,8 @@ from shoal.messages.messages import Command, DriveVelocity, Guidance, Mode, Orde
 from tests.flights.cells import WIDE
 from tests.flights.water import Trouble, TroubledFleet, TroubledPlant
 
+pytestmark = pytest.mark.long
+
 FASTEST_MPS = 0.48  # of the vehicle file; the plant's full thrust gives 5 % more
 POSES = ("sim.numeric.pose_noise_m=0.0015", "sim.numeric.yaw_noise_rad=0.008")
 Each = Callable[["BoundedFleet", float], None]

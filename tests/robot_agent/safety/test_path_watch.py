@@ -10,6 +10,8 @@ from tests.flights import cells
 from tests.flights.figures import CAUSES
 from tests.flights.grid_flights import STOPPED, FlightLog, fly
 
+pytestmark = pytest.mark.long
+
 NEW_LAW = ("controller.law=nmpc", "controller.estimator.kind=kalman")
 
 

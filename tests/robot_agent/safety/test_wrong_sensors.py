@@ -9,6 +9,8 @@ from shoal.messages.messages import Mode
 from tests.flights import cells, grid_flights
 from tests.flights.water import TroubledPlant
 
+pytestmark = pytest.mark.long
+
 FROZEN_NS = 10_000_000_000
 SLOW = pytest.mark.slow
 
