@@ -201,7 +201,7 @@ def test_packages_do_not_reach_into_one_another_on_disk(package: str) -> None:
 
 
 def test_benchmarks_stand_on_the_flights_of_tests_and_no_test_on_a_benchmark() -> None:
-    """What both fly stands in tests/flights. The benchmarks' own tests may import what they test."""
+    """Flights that both need stand in tests/flights. The benchmarks' own tests may import what they test."""
     own = "tests/benchmarks/"
     offences = [s for s in sources("tests") if not s.startswith(own) and "benchmarks" in _roots(_imports(tree_of(s), "tests"))]
     assert not offences, f"{', '.join(offences)}: import from benchmarks; what tests need of it belongs in tests/flights"

@@ -33,11 +33,13 @@ class ObserverClaim(NamedTuple):
 def claim_of(agent: Agent) -> ObserverClaim | None:
     """The belief of a robot's observer; None if it has none, or claims nothing."""
     estimator: Any = getattr(agent.controller, "_estimator", None)  # no robot publishes its covariances
-    if not isinstance(estimator, KalmanEstimator) or not estimator._begun:
+    if not isinstance(estimator, KalmanEstimator) or not estimator._begun:  # a robot publishes none of this
         return None
-    belief = estimator._belief
+    belief = estimator._belief  # the same
+    # the same
     mean, covariance = belief[[0, 1, 3, 4, 5, 7, 15, 16]], estimator._bank.mixed[np.ix_(CLAIMED, CLAIMED)]
     count = len(KALMAN) if estimator._model.sway else 3  # without sway there is no current, and v is 0
+    # the same: the time of the belief
     return ObserverClaim(estimator._at_ns, KALMAN[:count], mean[:count], covariance[:count, :count])
 
 
