@@ -25,12 +25,12 @@ from rich.console import Console
 from benchmarks import evidence
 from localizer.evaluation.metrics import PoseRow
 from localizer.evaluation.runner import evaluate_log
-from shoal.config.experiment import load_experiment
+from shoal.config.experiment import EXPERIMENTS, load_experiment
 from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
 
 ROOT = Path(__file__).parents[1]
-SCENES = tuple(sorted(path.stem for path in (ROOT / "shoal" / "config" / "experiments").glob("*.toml")))
+SCENES = tuple(sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 EVIDENCE = ROOT / "docs" / "evidence" / "scenes"
 TRACKS = ("marker", "kcf", "coast", "lost")  # kinds of track that a pose has, from best to worst
 COLUMNS = (

@@ -14,14 +14,14 @@ from rich.console import Console
 
 from benchmarks import evidence
 from benchmarks.robots import report
-from benchmarks.robots.cells import CELLS, draw
-from benchmarks.robots.figures import FlightFigures, figures
-from benchmarks.robots.flights import FlightLog, fly
 from benchmarks.robots.report import GridRun
 from shoal.config.experiment import load_experiment
 from shoal.runtime.cli_options import finite
 from shoal.runtime.output import terminal
 from sim_bridge.studies.worker_pool import one_thread, worker_pool
+from tests.flights.cells import CELLS, draw
+from tests.flights.figures import FlightFigures, figures
+from tests.flights.grid_flights import FlightLog, fly
 
 EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence" / "robots"
 HOUR_S = 3600.0

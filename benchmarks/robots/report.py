@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from benchmarks import evidence
-from benchmarks.robots.cells import CELLS
-from benchmarks.robots.claims import GROUPS
-from benchmarks.robots.figures import FlightFigures
+from tests.flights.cells import CELLS
+from tests.flights.claims import GROUPS
+from tests.flights.figures import FlightFigures
 
 NEAREST_M = 0.6  # 2 R of every flight of the grid
 SETTLED_S, HELD_M, STOPPED_S, EIGHT_M = 15.0, 0.02, 3.0, 0.005  # targets

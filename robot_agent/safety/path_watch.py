@@ -38,7 +38,7 @@ STRONGER_S = 1.0
 STRONGER = 0.95  # of full thrust: what a current takes. At 0.8 of the robot's speed it takes 0.64
 NEAR_FULL = 0.8  # of full thrust: what is given meanwhile
 GROWING = 0.05  # of the robot's speed: growth of the error
-SLOWEST = 0.05  # of the robot's speed: with less to spare no path can be joined (benchmarks/robots: 0.95 at most)
+SLOWEST = 0.05  # of the robot's speed: with less to spare no path can be joined (tests/flights/cells.py: 0.95 at most)
 LEANING = 0.5  # of the evidence that stops a robot: enough to name a likely cause
 
 

@@ -15,6 +15,7 @@ kernels, of any module, and raises nothing. `NUMBA_DISABLE_JIT=1` runs all of th
 import functools
 import os
 import pickle
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, cast, get_type_hints, overload
 
@@ -32,7 +33,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
 VERSIONS = f"numba {numba.__version__}, llvmlite {llvmlite.__version__}"
-CHECK_ALL = os.environ.get("SHOAL_CHECK_KERNELS") == "1"  # every call, not only the first: tests/conftest.py sets it
+CHECK_ALL = os.environ.get("SHOAL_CHECK_KERNELS") == "1"  # more than the first call: tests/conftest.py sets it
+CHECK_EVERY = 16  # calls: of these one is checked whatever its line has passed before; all of them cost a third of a flight
 
 stamps: dict[object, str] = {}  # of each kernel, by its Python function
 listeners: list[Callable[[str, bool], None]] = []  # called when a kernel is ready: with its file ("" for a part), if compiled
@@ -93,13 +95,27 @@ class Kernel:
         self._entry: Callable[..., Any] | None = None
         self._is_checked = False
         self._checked: dict[int, tuple[Any, ...]] = {}  # the last record in each place
+        self._passed: set[tuple[Any, ...]] = set()  # calling lines, each with the classes of its arguments
+        self._calls = 0
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the machine code."""
         if not self._is_checked:
-            self.check(arguments)
-            self._is_checked = not CHECK_ALL
+            if CHECK_ALL:
+                self._check_if_unlike_others(arguments)
+            else:
+                self.check(arguments)
+                self._is_checked = True
         return self._entry(*arguments)  # type: ignore[misc]
+
+    def _check_if_unlike_others(self, arguments: tuple[Any, ...]) -> None:
+        """Check the first call from a place in the code with arguments of these classes, and one call of many."""
+        caller = sys._getframe(2)
+        call = (caller.f_code, caller.f_lasti, *map(type, arguments))
+        self._calls += 1
+        if call not in self._passed or not self._calls % CHECK_EVERY:
+            self.check(arguments)
+            self._passed.add(call)
 
     def check(self, arguments: tuple[Any, ...]) -> None:
         """Raises TypeError unless the arguments are of the types that the kernel is compiled for."""

@@ -11,18 +11,18 @@ from typer.testing import CliRunner
 
 from benchmarks import evidence
 from benchmarks.robots import program, report
-from benchmarks.robots.cells import CELLS, draw
-from benchmarks.robots.claims import GROUPS, ObserverClaim, nees
-from benchmarks.robots.figures import FlightFigures, figures
-from benchmarks.robots.flights import fly, square
 from benchmarks.robots.report import GridRun
-from benchmarks.robots.vehicles import SPHERICAL, VEHICLES, ScaledVehicle
-from benchmarks.robots.water import TrueState
 from groundstation.planning import planner
 from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import load_experiment
 from shoal.messages.messages import Mode, Order, required
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
+from tests.flights.cells import CELLS, draw
+from tests.flights.claims import GROUPS, ObserverClaim, nees
+from tests.flights.figures import FlightFigures, figures
+from tests.flights.grid_flights import fly, square
+from tests.flights.vehicles import SPHERICAL, VEHICLES, ScaledVehicle
+from tests.flights.water import TrueState
 
 pytestmark = pytest.mark.long
 

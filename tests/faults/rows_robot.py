@@ -5,11 +5,11 @@ import time
 
 import numpy as np
 
-from benchmarks.robot_agent.thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
 from shoal.messages.messages import Mode, Order, Solve, required
 from tests.faults.rig import Rig
 from tests.faults.row import OFF, POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries
+from tests.flights.broken_thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
 
 NEVER_S = 999.0
 SETTLED_S = 6.0  # a flight's first seconds, in which a robot comes to its depth

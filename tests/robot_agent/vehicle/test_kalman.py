@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.flights import prepared
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import NS
@@ -18,6 +17,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array, wrap
 from shoal.messages.messages import Mode, required
 from sim_bridge.in_process.fleet import DirectPlant, fly
+from tests.flights.scene_flights import prepared
 
 pytestmark = pytest.mark.long
 

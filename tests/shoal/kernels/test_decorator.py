@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[3]
+from tests.source_tree import ROOT, nodes, tree_of
+
 PACKAGES = ("groundstation", "localizer", "robot_agent", "sim_bridge", "shoal")
 
 WITH_A_PART = """
@@ -75,7 +76,7 @@ def b(x):
 
 @pytest.mark.parametrize("source", _sources())
 def test_kernels_have_types_and_raise_nothing(source: str) -> None:
-    assert not list(_offences(ast.parse((ROOT / source).read_text(encoding="utf-8"))))
+    assert not list(_offences(tree_of(source)))
 
 
 def _called_from_python() -> set[str]:
@@ -83,9 +84,9 @@ def _called_from_python() -> set[str]:
     mentioned: set[str] = set()
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
+            tree = tree_of(str(path.relative_to(ROOT)))
             own, kernels = _module(path), {id(function) for function, _ in _kernels(tree)}
-            imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+            imports = [node for node in nodes(tree) if isinstance(node, ast.ImportFrom)]
             full = {alias.asname or alias.name: f"{node.module}.{alias.name}" for node in imports for alias in node.names}
             for node in (inner for top in tree.body if id(top) not in kernels for inner in ast.walk(top)):
                 if isinstance(node, ast.Name):
@@ -103,7 +104,7 @@ def test_parts_are_the_kernels_that_only_kernels_call() -> None:
     """A kernel of its own costs time and memory at each start; a part that Python calls is compiled in flight."""
     mentioned, wrong = _called_from_python(), []
     for source in _sources():
-        for function, mark in _kernels(ast.parse((ROOT / source).read_text(encoding="utf-8"))):
+        for function, mark in _kernels(tree_of(source)):
             name = f"{_module(ROOT / source)}.{function.name}"
             is_part = isinstance(mark, ast.Call) and any(keyword.arg == "part" for keyword in mark.keywords)
             if is_part is (name in mentioned):

@@ -20,7 +20,7 @@ from shoal.errors import ConfigError
 from shoal.messages.messages import required
 from shoal.runtime.version import code
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
-from tests.closed_loop.numeric import flown
+from tests.flights.scene_flights import flown_once
 from tests.planted import executed, installed, plant
 
 pytestmark = pytest.mark.long
@@ -69,7 +69,7 @@ def test_scattered_robots_begin_outside_of_one_another_s_space() -> None:
 
 
 def test_figures_are_those_of_the_flight() -> None:
-    flight = flown("numeric", *SHORT, "controller.law=backstepping")
+    flight = flown_once("numeric", *SHORT, "controller.law=backstepping")
     figures = fly(task(flight.experiment)).figures
     error, states = flight.error[1:], [each[1:] for each in flight.states]  # time 0 is the start itself
     distance = np.sqrt((error[:, :, :3] ** 2).sum(axis=2))
