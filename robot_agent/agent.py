@@ -116,7 +116,7 @@ class Agent:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
         # Both counted on the station's clock: robots that got an order at different instants still follow it together.
         ours_ahead_ns = now_ns - station.clock_ns
-        begin_ns, given_ns = begins_ns(header, command) + ours_ahead_ns, header.stamp_ns + ours_ahead_ns
+        begin_ns, given_ns = command.start_ns + ours_ahead_ns, header.stamp_ns + ours_ahead_ns
         reason = refusal(command.order, self.mode)
         if not reason:
             prepared = self.prepare(command) if prepared is None else prepared
@@ -393,11 +393,6 @@ def _pose_measurement(stamped: StampedPose | None) -> PoseMeasurement | None:
     return PoseMeasurement(
         stamped.instant_ns, pose.x_m, pose.y_m, pose.yaw_rad, stamped.variance_m2, pose.covariance.item(2, 2)
     )
-
-
-def begins_ns(header: Header, command: Command) -> int:
-    """Instant (station's clock) at which a START or RESUME takes effect: the one it names, however late it arrives."""
-    return command.start_ns or header.stamp_ns + round(command.start_in_s * 1e9)
 
 
 def unacceptable(robot: int, experiment_hash: str, header: Header, command: Command, station: StationView) -> str:

@@ -111,10 +111,10 @@ HEAD = """# Faults
 
 Written by `make faults`, which injects every fault below into real processes at random instants and measures what the thruster
 boards do. Each figure is the worst of N injections and its limit, from the fault on. A limit with a percentage holds for that
-share of the injections. Medians are in faults.json. One row again: `make faults ARGS="--row {example} --times 5"`.
+share of the injections. faults.json has medians. One row again: `make faults ARGS="--row {example} --times 5"`.
 
-A user can inject the faults of [reference/faults.md](../reference/faults.md); the others need the tests' own tools. Known gaps:
-[safety.md](../safety.md). Robots that are held fast, with a turned marker, or in too strong a current:
+A user can inject the faults of [reference/faults.md](../reference/faults.md); the others need the tests' own tools.
+Known gaps: [safety.md](../safety.md). Robots that are held fast, with a turned marker, or in too strong a current:
 [robots.md](robots.md#traps).
 """
 
