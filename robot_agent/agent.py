@@ -179,7 +179,17 @@ class Agent:
     # --- the control step
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
-        """Run one control step at `now_ns`."""
+        """Run one control step at `now_ns`. In this order these decide the thrust, each later one only to take it away:
+
+        safety/health.py       ages of the inputs, and what checks found in the last step
+        safety/modes.py        whether the robot may push
+        guidance/              the goal: path or HOLD or DRIVE (`_goal`), with neighbours and obstacles
+        control/               the goal led around others, and the wrench: the only place where one is computed
+        vehicle/allocation.py  wrench to pulses
+        `_sound`               pulses that are not finite or out of range become neutral
+        safety/path_watch.py   whether the robot does what its plan predicted: acts in the next step
+        safety/output_check.py what the board puts out against what was sent: acts in the next step
+        """
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         if self._me.depth_offset_m:

@@ -177,7 +177,7 @@ def table() -> str:
             if mode in transition.accepted_in and transition.to not in (None, mode) and order is not Order.STOP:
                 assert transition.to is not None
                 lines.append(f"    {mode.name} --> {transition.to.name}: {order.name}")
-    lines += ["```", "", "| Order | accepted when | leads to |", "| --- | --- | --- |"]
+    lines += ["```", "", "| Command | accepted when | leads to |", "| --- | --- | --- |"]
     for order, transition in ORDERS.items():
         accepted = _names(transition.accepted_in)
         lines.append(f"| {order.name} | {accepted} | {transition.to.name if transition.to is not None else 'same mode'} |")
