@@ -74,7 +74,7 @@ class CorrelationFilter:
     def _respond(
         self, robots: NDArray[np.intp], spectrum: Complex, energy: Real
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Peaks of the filters' responses: `robots` (n,) are the filters, `spectrum` and `energy` the features of their patches.
+        """Peaks of the responses of the filters `robots` (n,) to the features of their patches, `spectrum` and `energy`.
         Returns the places of the peaks and their heights."""
         kernel = self._kernel((spectrum * self._model[robots]).sum(axis=1), energy + self._model_energy[robots])
         kernel *= self._dual[robots]
