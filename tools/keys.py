@@ -20,17 +20,18 @@ ROOT = Path(__file__).parents[1]
 LAID = "Written by `make docs` from the models in `shoal/config/`; `groundstation keys-of` prints examples.\n"
 COLUMNS = "| Key and default | Value | Meaning | Read in |\n|---|---|---|---|"
 COPIES = 4  # keys that two sections share: the second one is a copy of the first
-OUT = "A key without default may be left out: its meaning says what holds then. A value without a kind is a number.\n"
+OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. Ranges:
+`groundstation keys-of`, the editor's schema, or the error message.
+"""
 
 
 def _row(entry: KeyEntry, prefix: str) -> str:
     default = "" if entry.default in ("", "required") else f"={entry.default}"
     marks = (" required" if entry.default == "required" else "") + (" (live)" if entry.live else "")
     name = f"`{entry.name.removeprefix(prefix)}{default}`{marks}"
-    kind = entry.type.replace("list of ", "").replace("true or false", "true/false")
-    value = " ".join(part for part in ("" if kind == "number" and (entry.unit or entry.allowed) else kind, entry.unit) if part)
-    allowed = entry.allowed.replace(" and ", ", ").replace("> ", ">").replace("< ", "<").replace("= ", "=")
-    value = ", ".join(part for part in (value, allowed) if part)
+    kind = entry.type.replace("list of ", "").replace("true or false", "true/false").replace('" or "', '", "')
+    kind = "" if kind == "number" and entry.unit else kind
+    value = f"{kind} {entry.unit}".strip()
     cells = (name, value, entry.meaning, readers.cell(entry.name))
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
@@ -43,13 +44,24 @@ def _table(table: KeyTable) -> Iterator[str]:
     if table.entries:
         yield COLUMNS
         prefix = f"{table.name}.{'N.' if repeated else ''}" if table.name else ""
-        yield from (_row(entry, prefix) for entry in table.entries)
+        yield from (
+            _row(entry, prefix) for entry in table.entries if not (table.entries[0].when and entry.name.endswith(".kind"))
+        )
 
 
 def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
-    """The tables; one whose keys are those of an earlier table, as [[cameras]] has those of [camera], lists its other keys."""
+    """The tables. One whose keys are those of an earlier table, as [[cameras]] has those of [camera], lists its other keys; so
+    does a further kind of a section."""
     earlier: dict[str, set[tuple[str, ...]]] = {}
+    of_kind: dict[str, set[tuple[str, ...]]] = {}  # rows of a section that has several kinds, as the paths
     for table in tables:
+        rows = {entry: (entry.name, entry.type, entry.default, entry.meaning) for entry in table.entries}
+        known = of_kind.setdefault(table.name, set())
+        again = [f"`{entry.name.rpartition('.')[2]}`" for entry, row in rows.items() if row in known]
+        if again:
+            fresh = tuple(entry for entry, row in rows.items() if row not in known)
+            table = replace(table, meaning=f"{table.meaning} As above: {', '.join(again)}.", entries=fresh)
+        known |= set(rows.values())
         keys = {entry: (entry.name.rpartition(".")[2], entry.type, entry.meaning) for entry in table.entries}
         first = next((name for name, other_keys in earlier.items() if len(other_keys & set(keys.values())) >= COPIES), "")
         if first:
