@@ -27,6 +27,13 @@ TOPICS_HEAD = """*For* is empty where everyone may read; `log`: programs that re
 robot. `*`: not recorded. A number after the way of sending: so many messages are kept for a subscriber that comes later.
 """
 
+MESSAGES_HEAD = """
+## Messages
+
+`[int]` is a list; a type with `?` may be missing. The fields of the lockstep's clock, and of records by which a step is
+repeated, are explained in the source.
+"""
+
 
 def field_comments(cls: type) -> dict[str, str]:
     """The comments beside the fields or members of a class."""
@@ -74,13 +81,14 @@ def _topic_row(topic: Topic) -> str:
 def _message(cls: Any) -> Iterator[str]:
     yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n"
     hints, comments = get_type_hints(cls), field_comments(cls)
+    if any(topic.type is cls and (topic.qos is Qos.JOURNAL or topic in (topics.TICK, topics.EXPOSED)) for topic in TOPICS):
+        comments = dict.fromkeys(comments, "")  # of use beside the code that repeats a step, or keeps step
     fields = [
         (_type(hints[field.name], field.metadata), comments[field.name], field.name) for field in dataclasses.fields(cls)
     ]
-    for (kind, comment), group in itertools.groupby(
-        fields, key=lambda field: field[:2]
-    ):  # names that need no comment: one line
-        for names in [[name] for *_, name in group] if comment else [[name for *_, name in group]]:
+    for (kind, comment), group in itertools.groupby(fields, key=lambda field: field[:2]):
+        every = [name for *_, name in group]
+        for names in [[name] for name in every] if comment else [every]:  # names without a comment share a line
             yield f"* {', '.join(f'`{name}`' for name in names)} {kind}{f': {comment}' if comment else ''}"
 
 
@@ -113,7 +121,7 @@ def page() -> str:
     ]
     lines += [f"* **{qos.name}**: {qos.value}." for qos in Qos]
     lines += [
-        "\n## Messages\n\n`[int]` is a list; a type with `?` may be missing.",
+        MESSAGES_HEAD,
         *(line for cls in get_args(Message) for line in _message(cls)),
     ]
     lines += ["\n## Choices", *(line for cls in _enums() for line in _choices(cls))]
