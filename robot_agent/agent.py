@@ -117,7 +117,7 @@ class Agent:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
         # Both counted on the station's clock: robots that got an order at different instants still follow it together.
         ours_ahead_ns = now_ns - station.clock_ns
-        begin_ns, given_ns = begins_ns(header, command) + ours_ahead_ns, header.stamp_ns + ours_ahead_ns
+        begin_ns, given_ns = command.start_ns + ours_ahead_ns, header.stamp_ns + ours_ahead_ns
         reason = refusal(command.order, self.mode)
         if not reason:
             prepared = self.prepare(command) if prepared is None else prepared
@@ -180,7 +180,17 @@ class Agent:
     # --- the control step
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
-        """Run one control step at `now_ns`."""
+        """Run one control step at `now_ns`. In this order these decide the thrust, each later one only to take it away:
+
+        safety/health.py       ages of the inputs, and what checks found in the last step
+        safety/modes.py        whether the robot may push
+        guidance/              the goal: path or HOLD or DRIVE (`_goal`), with neighbours and obstacles
+        control/               the goal led around others, and the wrench: the only place where one is computed
+        vehicle/allocation.py  wrench to pulses
+        `_sound`               pulses that are not finite or out of range become neutral
+        safety/path_watch.py   whether the robot does what its plan predicted: acts in the next step
+        safety/output_check.py what the board puts out against what was sent: acts in the next step
+        """
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         if self._me.depth_offset_m:
@@ -391,11 +401,6 @@ def _pose_measurement(stamped: StampedPose | None) -> PoseMeasurement | None:
     return PoseMeasurement(
         stamped.instant_ns, pose.x_m, pose.y_m, pose.yaw_rad, stamped.variance_m2, pose.covariance.item(2, 2)
     )
-
-
-def begins_ns(header: Header, command: Command) -> int:
-    """Instant (station's clock) at which a START or RESUME takes effect: the one it names, however late it arrives."""
-    return command.start_ns or header.stamp_ns + round(command.start_in_s * 1e9)
 
 
 def unacceptable(robot: int, experiment_hash: str, header: Header, command: Command, station: StationView) -> str:

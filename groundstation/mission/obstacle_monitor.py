@@ -82,5 +82,6 @@ class ObstacleMonitor:
         return first_contact(self._experiment, segment, progress_s, progress_s + AHEAD_S, obstacles)
 
     def _discs(self, now_ns: int | None) -> Array:
+        """Discs of the obstacles that are there: with `now_ns` only those seen for SURE_S by then."""
         sure = [now_ns is None or now_ns - self._since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._present.ids]
         return self._present.discs[np.array(sure, dtype=bool)] if self._present.ids else NO_OBSTACLES

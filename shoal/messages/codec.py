@@ -179,6 +179,7 @@ def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
 
 
 def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
+    """Function that checks a repeated field's numbers and gives them a shape; -1 is any length."""
     row, any_length = math.prod(n for n in shape if n != -1), -1 in shape
 
     def read(value: Any, name: str) -> Any:

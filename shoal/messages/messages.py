@@ -428,7 +428,7 @@ class Command:
     tuning: Annotated[Tuning | None, 10] = None
     recipient: Annotated[Uint64, 11] = 0  # Session of the process that it is for. A restarted process refuses it.
     via: Annotated[Array, 12] = array(-1, 2)  # GO: places x, y for the centre of the formation.
-    start_ns: Annotated[Int64, 13] = 0  # START, RESUME: instant on the station's clock; 0: start_in_s after the stamp.
+    start_ns: Annotated[Int64, 13] = 0  # START, RESUME: instant on the station's clock.
     about: Annotated[Uint32, 15] = 0  # To the station, with NONE: number of the request whose outcome is asked for.
     drive: Annotated[DriveVelocity | None, 16] = None  # DRIVE: the velocity.
     text: Annotated[str, 17] = ""  # FORMATION: the form, `line 0.8 turn 30`. FAULT: what breaks, `marker 2 lost for 5`.
