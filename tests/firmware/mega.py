@@ -28,7 +28,8 @@ class ChipFault(IntEnum):
     ABSENT = 0
     FROZEN = 1  # answers, with the same value again and again
     WRONG = 2  # another WHO_AM_I, a damaged PROM
-    LATE = 3  # conversions take four times as long
+    LATE = 3  # conversions take four times as long; the IMU holds the clock
+    ASLEEP = 4  # answers, but converts nothing, whatever it is told
 
 
 class Reset(IntFlag):
@@ -174,9 +175,13 @@ class Mega:
         """A register of the IMU changes by itself."""
         self._library.simulation_glitch(self._simulation, register, value)
 
-    def hold_bus(self, after_bytes: int = 1) -> None:
-        """A chip stops in the middle of a byte of the read that comes, and holds the bus."""
-        self._library.simulation_hold_bus(self._simulation, after_bytes)
+    def hold_bus(self, after_bytes: int = 1, clocks: int = 5) -> None:
+        """A chip stops in the middle of a byte of the read that comes, and holds the bus for so many clocks."""
+        self._library.simulation_hold_bus(self._simulation, after_bytes, clocks)
+
+    def free_bus(self) -> None:
+        """No chip holds the bus any longer."""
+        self._library.simulation_free_bus(self._simulation)
 
     def measure(self, depth_m: float = 0.0, yaw_rate_radps: float = 0.0, air_hpa: float = 0.0) -> None:
         """Have the sensors measure a depth, with the air's pressure above that in which it began, and a turn."""
