@@ -1,5 +1,5 @@
-"""Sensors of the Arduino Mega in simavr that are absent, asleep, stuck, late or wrong, lose their supply or hold the bus: nothing
-that cannot be true is sent, the rules keep their bounds, and a sensor that is whole again measures again."""
+"""Sensors of the Mega in simavr that are absent, asleep, stuck, late or wrong, lose their supply or hold the bus: nothing
+untrue is sent, the rules keep their bounds, and a sensor that is whole again measures again."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -13,6 +13,7 @@ from tests.firmware.mega import CYCLES_PER_US, IMU, PRESSURE, ChipFault, Mega, R
 from tests.firmware.pilot import Pilot
 
 pytestmark = pytest.mark.long
+SLOW = pytest.mark.slow
 
 STEP_US, STOPS_US, NEUTRAL_US = 5000.0, 260_000.0, 1500.0
 BROKEN_S, RETRY_S = 1.0, 1.3  # a sensor that is not live is looked at once a second
@@ -70,7 +71,7 @@ TROUBLES = {
     "pressure without supply": supply(PRESSURE),
 }
 QUICK = ("IMU asleep", "IMU stuck", "pressure late", "pressure with a damaged PROM")  # the others are slow tests
-ALL = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in TROUBLES]
+ALL = [pytest.param(name, marks=() if name in QUICK else SLOW) for name in TROUBLES]
 CHIP_NAMES = {IMU: "IMU", PRESSURE: "pressure"}
 
 
@@ -162,12 +163,10 @@ def test_a_sensor_in_trouble_is_silent_and_named_while_the_rules_hold_and_measur
     assert pilot.untrue == []
 
 
-HELD = {"a moment": (5, ()), "until a reset": (5, (Reset.WATCHDOG,)), "more than nine clocks": (40, ())}
+HELD = {"a moment": (5, ()), "until a reset": (5, (Reset.WATCHDOG,)), "beyond nine clocks": (40, ())}
 
 
-@pytest.mark.parametrize(
-    "how", [pytest.param(name, marks=() if name == "until a reset" else pytest.mark.slow) for name in HELD]
-)
+@pytest.mark.parametrize("how", [pytest.param(name, marks=() if name == "until a reset" else SLOW) for name in HELD])
 def test_a_chip_that_holds_the_bus_is_clocked_until_it_lets_go(mega: Mega, how: str) -> None:
     """A read that is cut off leaves the chip in the middle of a byte: it pulls SDA low until it has seen the other clocks."""
     clocks, resets = HELD[how]
@@ -183,7 +182,7 @@ def test_a_chip_that_holds_the_bus_is_clocked_until_it_lets_go(mega: Mega, how: 
     assert pilot.now_s - min(pilot.heard_s.values()) < 0.1 and pilot.untrue == []
 
 
-@pytest.mark.slow
+@SLOW
 def test_a_bus_that_is_held_for_ever_costs_no_rule_its_bounds(mega: Mega) -> None:
     pilot = under_way(mega)
     mega.hold_bus(after_bytes=3, clocks=1 << 30)
@@ -197,7 +196,7 @@ def test_a_bus_that_is_held_for_ever_costs_no_rule_its_bounds(mega: Mega) -> Non
     assert pilot.now_s - min(pilot.heard_s.values()) < 0.1 and pilot.untrue == []
 
 
-@pytest.mark.parametrize("chip", [IMU, pytest.param(PRESSURE, marks=pytest.mark.slow)], ids=["IMU", "pressure"])
+@pytest.mark.parametrize("chip", [IMU, pytest.param(PRESSURE, marks=SLOW)], ids=["IMU", "pressure"])
 def test_a_supply_that_fails_for_a_moment_is_seen_and_nothing_untrue_is_sent(mega: Mega, chip: int) -> None:
     """The chip answers, asleep or without its settings: at each phase of a sample."""
     pilot = under_way(mega)
@@ -211,7 +210,7 @@ def test_a_supply_that_fails_for_a_moment_is_seen_and_nothing_untrue_is_sent(meg
     assert f"{CHIP_NAMES[chip]}: live" in [text for _, text in pilot.link.telemetry.texts]
 
 
-@pytest.mark.slow
+@SLOW
 @pytest.mark.parametrize("register", [0x6B, 0x1B, 0x1C], ids=["power", "gyro's range", "accelerometer's range"])
 def test_a_setting_of_the_imu_that_changes_by_itself_is_written_again(mega: Mega, register: int) -> None:
     pilot = under_way(mega)
@@ -223,7 +222,7 @@ def test_a_setting_of_the_imu_that_changes_by_itself_is_written_again(mega: Mega
     assert pilot.untrue == []
 
 
-@pytest.mark.slow
+@SLOW
 @pytest.mark.parametrize("chip", [IMU, PRESSURE], ids=["IMU", "pressure"])
 def test_a_chip_that_is_not_there_at_power_on_measures_once_it_is(mega: Mega, chip: int) -> None:
     mega.fault(chip, ChipFault.ABSENT)
