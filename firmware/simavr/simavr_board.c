@@ -49,6 +49,10 @@ struct bus {
 struct pin {
     struct simulation *simulation;
     uint32_t channel;
+    uint8_t is_high, waits;      /* a pulse is under way; a new width waits for its end */
+    uint16_t width;              /* that one, as the compare register takes it */
+    avr_io_write_t write_width;  /* simavr's own, */
+    void *parameter;             /* with its parameter */
 };
 
 struct simulation {
@@ -69,6 +73,8 @@ struct simulation {
     uint32_t pressure, temperature; /* raw, of the MS5837 */
     uint32_t loop_address, idle_address; /* of loop_once and hal_idle, in bytes */
     uint64_t loop_since, loop_worst, loop_cycles;
+    uint32_t watched;                     /* address of a function, in bytes */
+    uint64_t called, calls, longest_gap;  /* cycle of its last call; since the last look: calls, and cycles between two of them */
     uint16_t paint_from;
     uint8_t hung, kept[2];
 };
@@ -279,6 +285,8 @@ static void on_reset(avr_io_t *io) {
     struct simulation *s = (struct simulation *)((char *)io - offsetof(struct simulation, io));
     s->bus.is_started = 0;
     s->loop_since = 0;
+    for (uint32_t i = 0; i < CHANNELS; i++)
+        s->pins[i].is_high = s->pins[i].waits = 0;
     if (s->ee_until > 0) { /* a write goes on through a reset */
         s->ee_until = s->avr->cycle + EEPROM_CYCLES;
         avr_cycle_timer_register(s->avr, EEPROM_CYCLES, end_of_write, s);
@@ -294,9 +302,35 @@ static void on_byte(struct avr_irq_t *irq, uint32_t value, void *parameter) {
     (void)irq;
 }
 
+/* --- the servo pins: simavr takes a new width in the middle of a pulse, and misses its end if that has passed; an ATmega's compare
+registers are buffered */
+
+static const uint8_t COMPARE[CHANNELS] = {0x98, 0x9A, 0x9C, 0xA8, 0xAA, 0xAC, 0x88, 0x8A}; /* OCR3A, B, C, OCR4A, B, C, OCR1A, B */
+
+static avr_cycle_count_t take_width(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    struct pin *pin = parameter;
+    const uint8_t low = COMPARE[pin->channel];
+    (void)when;
+    pin->waits = 0;
+    avr->data[low + 1] = (uint8_t)(pin->width >> 8);
+    pin->write_width(avr, low, (uint8_t)pin->width, pin->parameter);
+    return 0;
+}
+
+static void on_width(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter) {
+    struct pin *pin = parameter;
+    pin->width = (uint16_t)(avr->data[address + 1] << 8 | value);
+    pin->waits = pin->is_high;
+    if (!pin->waits)
+        take_width(avr, avr->cycle, pin);
+}
+
 static void on_pin(struct avr_irq_t *irq, uint32_t value, void *parameter) {
     struct pin *pin = parameter;
     struct simulation *s = pin->simulation;
+    pin->is_high = value != 0;
+    if (!pin->is_high && pin->waits)
+        avr_cycle_timer_register(s->avr, 1, take_width, pin);
     if (s->edge_count < EDGES && irq->value != value)
         s->edges[s->edge_count++] = (struct edge){s->avr->cycle, pin->channel, value};
 }
@@ -318,7 +352,10 @@ static void attach(struct simulation *s) {
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, s);
     for (uint32_t i = 0; i < CHANNELS; i++) {
-        s->pins[i] = (struct pin){s, i};
+        s->pins[i] = (struct pin){.simulation = s, .channel = i, .write_width = avr->io[AVR_DATA_TO_IO(COMPARE[i])].w.c,
+                                  .parameter = avr->io[AVR_DATA_TO_IO(COMPARE[i])].w.param};
+        avr->io[AVR_DATA_TO_IO(COMPARE[i])].w.c = on_width;
+        avr->io[AVR_DATA_TO_IO(COMPARE[i])].w.param = &s->pins[i];
         avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(PORTS[i]), PINS[i]), on_pin, &s->pins[i]);
     }
     power_chip(&s->chips[0], MPU);
@@ -433,6 +470,24 @@ static void note_loop(struct simulation *s, int begins) {
     s->loop_since = begins ? s->avr->cycle : 0;
 }
 
+static void note_call(struct simulation *s) {
+    const uint64_t gap = s->avr->cycle - s->called;
+    s->longest_gap = s->calls > 0 && gap > s->longest_gap ? gap : s->longest_gap;
+    s->called = s->avr->cycle;
+    s->calls++;
+}
+
+/* Watch a function from now on; its calls since then, and the cycles of the longest time between two of them. */
+void simulation_watch(struct simulation *s, uint32_t address) {
+    s->watched = address;
+    s->calls = s->longest_gap = 0;
+}
+
+void simulation_calls(const struct simulation *s, uint64_t calls[2]) {
+    calls[0] = s->calls;
+    calls[1] = s->longest_gap;
+}
+
 /* Run to this cycle; 0 if the processor crashed. */
 int simulation_run(struct simulation *s, uint64_t cycle) {
     for (uint8_t i = 4; i <= 5; i++) /* two servo pins are also INT4 and INT5: since a reset simavr looks at them in each cycle while low */
@@ -447,6 +502,8 @@ int simulation_run(struct simulation *s, uint64_t cycle) {
         state = avr_run(s->avr);
         if (s->avr->pc == s->loop_address || s->avr->pc == s->idle_address)
             note_loop(s, s->avr->pc == s->loop_address);
+        else if (s->avr->pc == s->watched)
+            note_call(s);
     }
     return state != cpu_Done && state != cpu_Crashed;
 }

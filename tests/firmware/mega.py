@@ -63,7 +63,7 @@ class Mega:
         self._library.simulation_open.restype = ctypes.c_void_p
         self._library.simulation_cycle.restype = ctypes.c_uint64
         elf = elf or built("build/board.elf", compiler="avr-gcc")
-        symbols = _symbols(elf)
+        self._symbols = symbols = _symbols(elf)
         self.static_bytes = (symbols["_end"] & 0xFFFF) - RAM_BEGIN
         self._simulation = ctypes.c_void_p(
             self._library.simulation_open(
@@ -125,6 +125,16 @@ class Mega:
         cycles = (ctypes.c_uint64 * 2)()
         self._library.simulation_loop(self._simulation, cycles)
         return cycles[0], cycles[1]
+
+    def watch(self, function: str) -> None:
+        """Count the calls of a function from now on."""
+        self._library.simulation_watch(self._simulation, self._symbols[function])
+
+    def calls(self) -> tuple[int, float]:
+        """How often the watched function was called, and the longest time between two calls, us."""
+        calls = (ctypes.c_uint64 * 2)()
+        self._library.simulation_calls(self._simulation, calls)
+        return calls[0], calls[1] / CYCLES_PER_US
 
     @property
     def stack_bytes(self) -> int:
