@@ -72,6 +72,7 @@ class Workshop:
         made = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "list-library"], capture_output=True, text=True, check=True)
         self._objects = {Path(source).name: folder / (Path(source).stem + ".o") for source in made.stdout.split()}
         self._compile = ["gcc", "-std=c99", "-O1", "-fPIC", f"-I{FIRMWARE}", "-isystem", str(include), f"-I{include}", "-w"]
+        self._compile += ["-fsanitize=bounds,shift,null,unreachable", "-fsanitize-undefined-trap-on-error"]  # ends a mutant
         for source in made.stdout.split():
             subprocess.run([*self._compile, "-c", "-o", self._objects[Path(source).name], FIRMWARE / source], check=True)
 
