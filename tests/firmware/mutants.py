@@ -7,11 +7,14 @@ nothing noticed. `make mutants` runs it.
 """
 
 import argparse
+import ctypes
+import inspect
 import os
 import random
 import re
 import resource
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +22,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.firmware.library import CORE_TESTS, FIRMWARE, built
+from tests.firmware import test_memory, test_rules
+from tests.firmware.library import CORE_TESTS, FIRMWARE, built, load
 
 FILES = ("rules.c", "parameters.c", "signing.c", "store.c")
 SWAPS = [  # a piece of the code, and what stands there instead
@@ -91,7 +95,7 @@ class Workshop:
 
 def is_noticed(library: Path) -> bool:
     """True if a fast test of the core fails, crashes or does not end. The tests run in a copy of this process, which has
-    imported what they need."""
+    imported what they need: those without fixtures of their own as plain calls, then all by pytest."""
     copy = os.fork()
     if copy == 0:
         resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S))
@@ -99,8 +103,21 @@ def is_noticed(library: Path) -> bool:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
         os.environ["SHOAL_CORE_LIBRARY"] = str(library)
         os.chdir(FIRMWARE.parent)
-        os._exit(int(pytest.main(["-q", "-x", "-n0", "-p", "no:cacheprovider", *CORE_TESTS])))
+        try:
+            call_tests(load(library))
+        finally:
+            os._exit(1 if sys.exc_info()[0] else int(pytest.main(["-q", "-x", "-n0", "-p", "no:cacheprovider", *CORE_TESTS])))
     return os.waitpid(copy, 0)[1] != 0
+
+
+def call_tests(library: ctypes.CDLL) -> None:
+    """Call the tests that need nothing but the library, and the memory of a board with a key."""
+    given = {"library": library, "keyed": test_memory.keyed_memory(library)}
+    for module in (test_memory, test_rules):
+        for name, test in vars(module).items():
+            needs = inspect.signature(test).parameters if name.startswith("test_") else {"": None}
+            if needs.keys() <= given.keys() and not hasattr(test, "pytestmark"):
+                test(**{need: given[need] for need in needs})
 
 
 def main() -> None:
