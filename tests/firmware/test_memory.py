@@ -16,7 +16,7 @@ from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import HPA_PER_M
 from tests.firmware.library import PARAMETERS, CReading, FirmwareBoard, core
 
-KEY = Key(bytes(range(1, 33)))
+KEY, OTHER = Key(bytes(range(1, 33))), Key(bytes(range(2, 34)))
 EEPROM_BYTES, SLOTS, SLOT_BYTES, BYTE_US = 4096, 6, 256, 3400
 STAMPS_AT, STAMPS_SLOTS, ZEROS_AT, ZEROS_SLOTS, SMALL = 1536, 144, 3840, 16, 16  # bytes of a place of either
 BEYOND = b"\xa5" * 16  # what lies behind the memory's state
@@ -360,3 +360,26 @@ def test_streams_older_than_a_minute_or_too_many_are_refused_and_unused_ones_fre
     assert takes(now + minute + 100, 0)
     assert takes(now + minute + 101, 17)  # in the place of one that nobody used for a minute
     assert not takes(now - minute + 1, 2)  # that one
+
+
+def test_a_new_key_frees_all_streams(library: ctypes.CDLL, keyed: bytes) -> None:
+    board, now = StoredBoard(library, keyed), 100_000_000
+    for link_id in range(16):
+        board.put(frame_of(now + link_id, link_id))
+        board.go(150)
+    board.output()
+    board.put(ParameterClient(1, KEY, lambda: now + 100).give(OTHER, now))
+    board.go(600)
+    board.output()
+    for link_id in range(16, 32):
+        board.put(ParameterClient(1, Key(OTHER.secret, link_id), lambda: now + 200 + link_id).ask("SLEW_US_S"))  # noqa: B023
+        board.go(150)
+        assert b"SLEW_US_S" in board.output(), link_id
+
+
+def test_hil_mode_is_not_kept_but_the_other_settings_are(library: ctypes.CDLL, keyed: bytes) -> None:
+    memory = keyed
+    for name, value in (("HIL_MODE", 1.0), ("HIL_OUTPUTS", 1.0), ("SLEW_US_S", 4321.0)):
+        memory = rewritten(memory, VALUES_AT + 4 * PARAMETERS.index[name], struct.pack("<f", value))
+    board = StoredBoard(library, memory)
+    assert [board.value(name) for name in ("HIL_MODE", "HIL_OUTPUTS", "SLEW_US_S")] == [0.0, 0.0, 4321.0]

@@ -90,8 +90,11 @@ def test_a_depth_without_noise_is_not_judged() -> None:
     assert stuck(np.random.default_rng(1).normal(0.3, 0.002, 2).tolist() * 1, gap_s=20.0) == 0.0
 
 
-def gravity(force_mps2: Callable[[int], tuple[float, float, float]], noise_mps2: float = 0.03) -> tuple[GravityCheck, float]:
-    """A check after 60 s of a specific force with noise, rounded as on the link, and the first time at which it was in doubt."""
+Force = tuple[float, float, float]
+
+
+def gravity(force_mps2: Callable[[int], Force], noise_mps2: float = 0.03) -> tuple[GravityCheck, float]:
+    """A check after 60 s of a specific force with noise, rounded as on the link, and the first time of a doubt."""
     check, random, first_s = GravityCheck(), np.random.default_rng(1), math.inf
     for k in range(1200):
         noise = random.normal(0.0, noise_mps2, 3)

@@ -14,8 +14,8 @@ SLOW = pytest.mark.slow
 
 
 class WrongPlant(TroubledPlant):
-    """Plant whose gyroscope measures `share` of the rate, whose accelerometer is mounted otherwise from the 5th second on, or of
-    which sensors stay at what they read after 10 s."""
+    """Plant whose gyroscope measures `share` of the rate, whose accelerometer is mounted otherwise from the 5th second
+    on, or of which sensors stay at what they read after 10 s."""
 
     share = 1.0
     freezes = turns = sticks = False
