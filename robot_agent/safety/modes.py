@@ -78,7 +78,8 @@ class Health(NamedTuple):
     place_age_s: float = 0.0  # of the last pose that did not contradict the estimate
     drive_age_s: float = 0.0  # of the last DRIVE, on the station's clock
     autopilot: str = ""  # the name of the autopilot that answers in place of a thruster board
-    gyroscope_apart_rad: float = 0.0  # how far the turn by the gyroscope is from that by the poses, once that lasts
+    gyroscope: str = ""  # the reason to doubt the gyroscope,
+    accelerometer: str = ""  # and the accelerometer
     depth_same_s: float = 0.0  # for how long the depth has been exactly the same, once that is too long
 
 
@@ -120,10 +121,8 @@ REACTIONS: tuple[Reaction, ...] = (
         "depth sensor stuck", POWERED, lambda h, s: h.depth_same_s > 0.0, Mode.FAULT,
         lambda h: f"exactly the same for {h.depth_same_s:.1f} s",
     ),
-    Reaction(
-        "gyroscope in doubt", POWERED, lambda h, s: h.gyroscope_apart_rad > 0.0, Mode.FAULT,
-        lambda h: f"its turn and the camera's differ by {h.gyroscope_apart_rad:.2f} rad",
-    ),
+    Reaction("gyroscope in doubt", POWERED, lambda h, s: h.gyroscope != "", Mode.FAULT, lambda h: h.gyroscope),
+    Reaction("accelerometer in doubt", POWERED, lambda h, s: h.accelerometer != "", Mode.FAULT, lambda h: h.accelerometer),
     Reaction(
         "no depth", POWERED, lambda h, s: h.depth_age_s > s.pose_neutral_s, Mode.FAULT,
         lambda h: f"none that can be true for {h.depth_age_s:.2f} s",

@@ -172,6 +172,15 @@ def test_a_change_that_could_have_a_disarmed_board_push_is_refused(
     assert board.pulses[:4] == tuple(round(1500 + trim) for trim in parameters.trims_us[:4])
 
 
+def test_a_curve_that_pushes_a_little_both_ways_is_taken(library: ctypes.CDLL) -> None:
+    board = FirmwareBoard(library)
+    points = sorted(name for name in PARAMETERS.index if name.startswith("CRV") and name.endswith("_N"))
+    for name in (*points[: len(points) // 2 + 1][::-1], *points[len(points) // 2 :]):  # from the dead zone outwards
+        value = min(max(PARAMETERS[name], -0.25), 0.25)
+        board.change(PARAMETERS.index[name], value)
+    assert board.value(points[0]) == -0.25 and board.value(points[-1]) == 0.25
+
+
 @pytest.mark.slow
 def test_many_random_calls_have_the_outputs_of_the_reference(library: ctypes.CDLL) -> None:
     for seed in range(100_000):
