@@ -364,7 +364,7 @@ class NonlinearController:
 
 
 def clear_place(pose: Array, surrounds: Surrounds, margin_m: float) -> Array:
-    """The pose (4,) to rest at, moved inside the room, and away from all that rests too near: then by a margin more than needed.
+    """The pose (4,) to rest at, moved inside the room, and away from all that rests too near, by a margin more than needed.
     What moves on is no reason to leave a place: the plan makes way for it and comes back."""
     place = complex(*pose[:2].tolist())
     most_x, most_y = np.maximum(surrounds.room_m - margin_m, 0.0).tolist()
