@@ -67,7 +67,8 @@ KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of 
     (1e-7, 0.5, 1.0),  # a basin at rest: 1 mm/s within 10 s
     (1e-5, 0.0, 1.0),  # with time, 1 cm/s,
     (6e-5, 0.0, 1.0),  # 2.5 cm/s,
-    (4e-4, 0.0, 1.0),  # and 6 cm/s within 10 s: gusts, waves
+    (4e-4, 0.0, 1.0),  # 6 cm/s within 10 s: gusts,
+    (2e-3, 0.0, 1.0),  # and 14 cm/s, or 4.5 cm/s within 1 s: waves
     (3e-5, 1.0, 1.0),  # from place to place
     (1.2e-4, 1.0, 1.0),
     (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
@@ -86,7 +87,7 @@ WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer
 GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
 DRAG_LOG, MASS_LOG = 0.3, 0.3  # standard deviations of ln drag and ln mass at first, from the vehicle file's,
 ALIKE = 0.8  # and their correlation: a larger hull has more of both. With 0.5 a current is taken for a stronger one at first
-MOST_FORCE = 4.0  # times the thrusters' largest: with twice that no robot holds anything, whatever its mass is
+MOST_FORCE = 2.0  # times the thrusters' largest acceleration: against more no robot holds its place, whatever its mass is
 MOST_LOG = 1.0  # of drag, thrust, moment, yaw drag per mass: e times the vehicle file's
 AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
 HAND_S = 0.1  # for so long a hand that holds a robot pushes one way, with up to the thrusters' force
