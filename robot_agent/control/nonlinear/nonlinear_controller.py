@@ -91,7 +91,8 @@ class NonlinearController:
         self.formation = Formation(safety, nodes_s[1:], config.mpc.q_formation, has_leader, most_m)
         times_s, agility = np.concatenate([[0.0], nodes_s]), tunings.agility(vehicle)
         self._give_way = GiveWay(vehicle, times_s, config.period_s, agility, room_m, islands, urgent)
-        self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
+        self._fastest_mps = tunings.fastest_mps(vehicle)
+        self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, self._fastest_mps)
         self._depth, self._drift = make_memory(1), make_flight(len(self._axes))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
         self._limits, self._depth_limits = tunings.planar_limits(vehicle), tunings.depth_limits(vehicle)
@@ -229,7 +230,7 @@ class NonlinearController:
         """The pose (4,) where the robot can come to rest."""
         assert self._tuning is not None
         problem = PlanProblem(start, self._course, self._weights(tunings.Manner(0.0, 0.0)), self._limits, surrounds)
-        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift)
+        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._fastest_mps, self._drift)
         return np.array([place.real, place.imag, *goal.eta[2:]])
 
     def _weights(self, manner: tunings.Manner) -> Weights:
