@@ -51,7 +51,8 @@ GAINS_S = 1.0  # time constant of the weights,
 NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a start is no noise, and ends within a second
 GOES_FIRST_S = 2.5  # a robot that goes first still keeps clear of the others for so long: they may be unable to give way
 WALL_M = 0.02  # between a hull and a wall, in the plan
-REST_M = 0.05  # and at a place to rest
+REST_M = 0.05  # and at a place to rest, beyond the distance to keep: a place that is moved once stays
+RESTS_M = 0.01  # between the last two nodes, 0.8 to 1.8 s: a plan that ends so slowly ends at rest
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
 CALM = 8.0  # standard deviations: nearer to its place, a resting robot looks for no other plan
 STEEPEST_RAD = 0.5  # a hull that rights itself is not pitched farther by its thrusters: a board that says so is wrong
@@ -90,7 +91,8 @@ class NonlinearController:
         self.formation = Formation(safety, nodes_s[1:], config.mpc.q_formation, has_leader, most_m)
         times_s, agility = np.concatenate([[0.0], nodes_s]), tunings.agility(vehicle)
         self._give_way = GiveWay(vehicle, times_s, config.period_s, agility, room_m, islands, urgent)
-        self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
+        self._fastest_mps = tunings.fastest_mps(vehicle)
+        self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, self._fastest_mps)
         self._depth, self._drift = make_memory(1), make_flight(len(self._axes))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
         self._limits, self._depth_limits = tunings.planar_limits(vehicle), tunings.depth_limits(vehicle)
@@ -149,8 +151,9 @@ class NonlinearController:
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
         pull = self.formation.pull(predictions, np.ones(4))
         surrounds = self._surrounds(predictions, obstacles, estimate, now_ns)
-        if isinstance(goal, Hold) and self._place is None:
-            self._place = self._stop(goal, dynamics, start, surrounds)
+        if isinstance(goal, Hold):
+            place = self._stop(goal, dynamics, start, surrounds) if self._place is None else self._place
+            self._place = clear_place(place, surrounds, REST_M)
         if isinstance(goal, Drive):
             goal = replace(goal, lasts_s=max(goal.lasts_s, DRIVES_ON_S))
         reference = self.sampler.sample(goal if self._place is None else Hold(self._place))
@@ -224,13 +227,11 @@ class NonlinearController:
         return keep_m, nodes
 
     def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
-        """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""
+        """The pose (4,) where the robot can come to rest."""
         assert self._tuning is not None
         problem = PlanProblem(start, self._course, self._weights(tunings.Manner(0.0, 0.0)), self._limits, surrounds)
-        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift)
-        pose = goal.eta.copy()
-        pose[0], pose[1] = clear_place(place, surrounds, REST_M)
-        return pose
+        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._fastest_mps, self._drift)
+        return np.array([place.real, place.imag, *goal.eta[2:]])
 
     def _weights(self, manner: tunings.Manner) -> Weights:
         assert self._tuning is not None
@@ -363,25 +364,30 @@ class NonlinearController:
         return poses
 
 
-def clear_place(place: complex, surrounds: Surrounds, margin_m: float) -> tuple[float, float]:
-    """The place, moved inside the room and away from bodies and outlines, by a margin more than they need."""
+def clear_place(pose: Array, surrounds: Surrounds, margin_m: float) -> Array:
+    """The pose (4,) to rest at, moved inside the room, and away from all that rests too near, by a margin more than needed.
+    What moves on is no reason to leave a place: the plan makes way for it and comes back."""
+    place = complex(*pose[:2].tolist())
     most_x, most_y = np.maximum(surrounds.room_m - margin_m, 0.0).tolist()
     for _ in range(4):  # two bodies that push against one another are left to the optimisation
         for there, keep_m, surrounded in _nearest_points(place, surrounds.bodies, surrounds.outlines):
             away = there - place if surrounded else place - there
-            if surrounded or abs(away) < keep_m + margin_m:
+            if surrounded or abs(away) < keep_m:
                 place = there + (away / abs(away) if away else 1.0) * (keep_m + margin_m)
         place = complex(min(max(place.real, -most_x), most_x), min(max(place.imag, -most_y), most_y))
-    return place.real, place.imag
+    return np.array([place.real, place.imag, *pose[2:]])
 
 
 def _nearest_points(place: complex, bodies: MovingBodies, outlines: Outlines) -> list[tuple[complex, float, bool]]:
-    """The point of each body at the end of its plan, and of each outline, that is nearest to a place, with its distance, and
-    True if the outline surrounds the place."""
-    ends = [(complex(*bodies.place[i, -1]), float(bodies.keep_m[i].max()), False) for i in range(len(bodies.keep_m))]
-    for i, keep_m in enumerate(outlines.keep_m.tolist()):
+    """The point of each body that rests at the end of its plan, and of each outline at rest, that is nearest to a place, with
+    its distance, and True if the outline surrounds the place."""
+    end, before = bodies.place[:, -1], bodies.place[:, -2]
+    rests = np.hypot(*(end - before).T) < RESTS_M
+    ends = [(complex(*end[i]), float(bodies.keep_m[i].max()), False) for i in np.flatnonzero(rests)]
+    for i in np.flatnonzero(np.hypot(*outlines.velocity.T) < tunings.SLOW_MPS):
         points = outlines.point[outlines.first[i] : outlines.first[i + 1]]
         points = points[:, 0] + 1j * points[:, 1]
         apart = place - points
-        ends.append((complex(points[np.abs(apart).argmin()]), keep_m, bool(is_inside(apart[None].astype(np.complex128))[0])))
+        surrounds = bool(is_inside(apart[None].astype(np.complex128))[0])
+        ends.append((complex(points[np.abs(apart).argmin()]), float(outlines.keep_m[i]), surrounds))
     return ends

@@ -123,6 +123,16 @@ def test_a_current_is_told_from_a_force_that_turns_along() -> None:
     )
 
 
+@pytest.mark.parametrize("mass, drag", [(-0.3, 0.3), (0.3, -0.3)])
+def test_drag_is_learned_though_mass_is_wrong_the_other_way(mass: float, drag: float) -> None:
+    """Surge drag and yaw drag per mass are 1.86 and 0.54 times the vehicle file's: no current, and no lasting moment."""
+    water = (f"sim.plant.mass_error={mass}", f"sim.plant.drag_error={drag}")
+    last = drift(load_experiment("pool", [*ALONE, *water]), 1, seconds=60.0).estimates[-1]
+    expected = (1.0 + drag) / (1.0 + mass)
+    assert last.estimate.drag_ratio == pytest.approx(expected, rel=0.15) and abs(last.current) < 0.015
+    assert abs(last.own_force[2]) < 0.06
+
+
 def test_a_robot_held_in_a_current_does_not_learn_that_the_water_stands() -> None:
     flight = drift(load_experiment("pool", [*ALONE, "sim.plant.current_mps=[0.0,0.15,0.0]"]), 2, seconds=15.0, held_s=10.0)
     held, last = flight.estimates[180], flight.estimates[-1]
