@@ -717,7 +717,7 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
-        if state in TERMINAL:
+        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop or a DISARM after the run has ended so
             self.verdict = state
         elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
             self.verdict = None
