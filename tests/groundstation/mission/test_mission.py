@@ -1213,7 +1213,7 @@ def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() 
 
 
 @pytest.mark.parametrize("after", ["test", "stop", "armed alone"])
-def test_what_fails_after_a_run_leaves_its_verdict(after: str) -> None:
+def test_a_failure_after_a_run_leaves_its_verdict(after: str) -> None:
     run = MissionRun(automatic=False)
     assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
     run.step(6.0)
