@@ -124,7 +124,7 @@ def test_the_robots_program_does_not_arm_in_question_and_passes_the_confirmation
     ],
 )
 def test_a_request_that_a_killed_command_has_left_reaches_no_board(stepping: AgentNode, tmp_path: Path, left: str) -> None:
-    """Whatever the wall clock says: after a start without a network it is behind the file's time."""
+    """The file's time is ahead of the wall clock's, as after a start without a network."""
     path, now_s = tmp_path / "state" / zero_request.FILE, boot_time_s()
     path.write_text(left.format(boot=boot_id(), now=now_s, old=now_s - 60.0, later=now_s + 60.0), encoding="ascii")
     os.utime(path, (time.time() + 3600.0, time.time() + 3600.0))
