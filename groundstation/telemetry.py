@@ -77,8 +77,14 @@ class RobotView:
         return self.state.estimate if self.state is not None else None
 
     @property
+    def is_located(self) -> bool:
+        """True if anything is known of its place."""
+        return self._estimate is not None or self.pose is not None
+
+    @property
     def eta(self) -> Array:
-        """Best known pose (4,): its own estimate if it is heard, else the localizer's pose, else its last estimate."""
+        """Best known pose (4,): its own estimate if it is heard, else the localizer's pose, else its last estimate. Zeros for
+        a robot that is not located."""
         if self._estimate is not None and (self.heard or self.pose is None):
             return self._estimate.eta
         if self.pose is not None:

@@ -229,12 +229,17 @@ class Agent:
 
     def _sound(self, output: ControlOutput) -> ControlOutput:
         """Return a control step's output, or neutral pulses and FAILED in its place if a number is not finite or a pulse is
-        outside the vehicle's range: the last guard before the wire."""
+        outside the vehicle's range: the last guard before the wire. Its goal is then that of the step before."""
         ranges = zip(output.pulse_us, self._ranges_us, strict=True)
         if all(low <= pulse <= high for pulse, (low, high) in ranges) and output.is_finite:
             return output
-        nowhere = np.zeros_like(output.plan_eta)
-        return ControlOutput(self.neutral_us, None, Control(solve=Solve.FAILED), nowhere, nowhere)
+        nowhere, still = np.zeros_like(output.plan_eta), np.zeros(len(self._experiment.vehicle.limits.wrench))
+        before = self._last.control if self._last is not None else None
+        control = replace(
+            before or Control(), solve=Solve.FAILED, iterations=0, slack_m=0.0,
+            wrench=still, wrench_step=still, wrench_wanted=still, wrench_delivered=still,
+        )  # fmt: skip
+        return ControlOutput(self.neutral_us, None, control, nowhere, nowhere)
 
     @property
     def _estimate(self) -> Estimate | None:

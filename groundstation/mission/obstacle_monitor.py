@@ -66,7 +66,7 @@ class ObstacleMonitor:
         """
         safety = self._experiment.safety
         wide_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
-        robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.pose or robot.state]
+        robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.is_located]
         return np.vstack([self._discs(now_ns) if obstacles else NO_OBSTACLES, np.array(robots).reshape(-1, 3)])
 
     def first_contact(self, segment: PlanSegment, progress_s: float, lost: Iterable[RobotView], now_ns: int | None) -> str:

@@ -15,6 +15,7 @@ from shoal.messages.messages import Control, Mode, Solve, is_finite, required
 
 NEUTRAL_US = (1500,) * 4
 POOL = load_experiment("pool")
+VECTORED = load_experiment("straight", ["vehicle=vectored", "sim.sensors.battery_v=15.5"])
 
 
 def flying() -> tuple[Agent, Inputs, int]:
@@ -52,6 +53,24 @@ def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pyte
     monkeypatch.undo()
     outputs = agent.step(inputs, now_ns + 50_000_000)
     assert (outputs.state.mode, outputs.state.fault) == (Mode.FAULT, "no control solution")
+
+
+def test_an_invalid_step_keeps_the_goal_of_the_step_before_and_the_shape_of_its_wrenches(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a vehicle with side thrust."""
+    steps = rehearse(VECTORED, 1)
+    for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 20):
+        before = agent.step(inputs, now_ns).state.control
+    real = agent.controller.step
+    monkeypatch.setattr(agent.controller, "step", lambda *arguments: real(*arguments)._replace(tracking_error_m=np.nan))
+    _, inputs, now_ns = next(steps)
+    control = required(agent.step(inputs, now_ns).state.control)
+    assert control.solve is Solve.FAILED and before is not None and required(before).solve is Solve.SOLVED
+    np.testing.assert_array_equal(control.eta_reference, before.eta_reference)
+    np.testing.assert_array_equal(control.eta_command, before.eta_command)
+    for wrench in (control.wrench, control.wrench_step, control.wrench_wanted, control.wrench_delivered):
+        np.testing.assert_array_equal(wrench, np.zeros(4))
 
 
 def test_a_depth_offset_is_taken_off_everywhere() -> None:
