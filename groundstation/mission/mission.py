@@ -55,7 +55,7 @@ JOIN_WITHIN_S = 3.5  # for a robot to begin to fly with the others, who fly alre
 TEST_PATIENCE_S = 12.0  # for the thruster test of all robots
 SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going on
 AT_REST_MPS = 0.03  # slower than this counts as at rest
-REST_WITHIN_S = 8.0  # then planning begins all the same: robots that hold against waves never quite rest
+REST_WITHIN_S = 8.0  # then a hold counts as done, and planning begins, all the same: robots that hold against waves never quite rest
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
 ATTENDED = "a person attends, and has to start it"  # an automatic mission, once somebody has taken a hand in it
@@ -134,7 +134,7 @@ class Mission:
         self._dispatcher = CommandDispatcher(experiment.hash)
         self._experiment, self._starts = experiment, dict(starts)
         self._data, self._run = _StateData(), _RunData()
-        self._cycle_ns: int | None = None  # instant of the last cycle
+        self.cycle_ns = 0  # instant of the last cycle; 0 before the first
         self._timetable: Timetable | None = None  # of the last start
         self._still_to_arm: frozenset[int] = frozenset()  # robots that may be disarmed until a new plan arms them
         self._asked_ns = 0  # instant of the last request for which robots may be armed
@@ -270,8 +270,8 @@ class Mission:
         self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int, obstacles: ObstacleSet | None = None
     ) -> tuple[Command, ...]:
         """Do one cycle; returns the commands to send now. `obstacles` None: as in the cycle before."""
-        elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
-        self._cycle_ns = now_ns
+        elapsed_s = (now_ns - self.cycle_ns) * 1e-9 if self.cycle_ns else 0.0
+        self.cycle_ns = now_ns
         own_results = [result for result in results if result.command.robot in self.roster.all_robots]
         left_out = self.roster.all_robots if self.state in AT_REST else self.roster.lost  # silence of theirs stops nothing
         counted = [r for r in own_results if not (r.reply.silent and r.command.robot in left_out)]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
-from groundstation.mission.mission import JOIN_WITHIN_S, Mission, may_have_power, may_move
+from groundstation.mission.mission import AT_REST_MPS, JOIN_WITHIN_S, REST_WITHIN_S, Mission, may_have_power, may_move
 from groundstation.mission.objections import ARMED, LIVE, MOVING
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
@@ -25,6 +25,7 @@ KEPT = 16
 
 _FROM_REST = frozenset({MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING, MissionState.RELEASING})
 UNARMED = AT_REST | {MissionState.STOPPED}  # the mission arms no robot
+IN_PLACE_M = 0.05  # from the place that a robot holds
 
 Confirms = Callable[[Mission, RobotView, int], bool]
 
@@ -117,6 +118,7 @@ class _Request:
     only: int = WHOLE_FLEET  # or the one robot that it is about,
     task: RobotTask | None = None  # and its task
     refusals: dict[int, str] = field(default_factory=dict)  # by robot, the last one
+    begun_ns: int = 0  # by the mission's cycle
 
 
 class RequestTracker:
@@ -156,7 +158,7 @@ class RequestTracker:
         self, order: Order, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET, task: RobotTask | None = None
     ) -> int:
         self._count += 1
-        request = _Request(self._count, order, mission.segment, tuning_id, only, task)
+        request = _Request(self._count, order, mission.segment, tuning_id, only, task, begun_ns=mission.cycle_ns)
         self._open.append(request)
         self._record(request, mission)
         return request.number
@@ -206,6 +208,8 @@ class RequestTracker:
         goal = GOALS[request.order]
         robots = self._concerned(request, mission, fleet)
         waiting = [robot for robot in robots if not goal.confirmed(mission, fleet[robot], robot)]
+        if request.order is Order.HOLD and mission.cycle_ns - request.begun_ns < REST_WITHIN_S * 1e9:
+            waiting = [robot for robot in robots if robot in waiting or not _rests(fleet[robot])]
         if mission.state in goal.through:
             return Progress.UNDER_WAY, "", waiting
         stands = f"{mission.state.value}{f': {mission.reason}' if mission.reason else ''}"
@@ -259,6 +263,12 @@ class RequestTracker:
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
 
 
+def _rests(view: RobotView) -> bool:
+    """True for a robot that is at rest in the place that it holds."""
+    away_m = view.state.error_m if view.state is not None else None
+    return view.speed_mps < AT_REST_MPS and (away_m is None or away_m < IN_PLACE_M)
+
+
 def _moves_or_holds(view: RobotView) -> bool:
     return may_move(view) and view.mode in MOVING | {Mode.HOLDING}
 
@@ -277,5 +287,6 @@ def _reason(view: RobotView, rejection_reason: str) -> str:
     if not view.heard or view.mode is None:
         return "not heard" if view.state is None else f"not heard for {view.state_age_s:.1f} s"
     tested = view.state.thruster_test if view.state is not None else ""
-    mode_text = f"is {view.mode.name.lower()}{f', thruster test {tested}' if tested else ''}"
+    moving = ", not yet at rest" if view.mode is Mode.HOLDING and not _rests(view) else ""
+    mode_text = f"is {view.mode.name.lower()}{moving}{f', thruster test {tested}' if tested else ''}"
     return rejection_reason or mode_text

@@ -44,6 +44,7 @@ class ObedientRobot:
     test: str = ""
     tuning_id: str = ""
     eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    surge_mps: float = 0.0
     age_s: float = 0.02
     fault: str = ""
     trajectory_s: float = 0.0
@@ -91,7 +92,7 @@ class ObedientRobot:
             tuning_id=self.tuning_id,
             blind=self.blind,
             board=BoardReading(battery_v=self.battery_v),
-            estimate=Estimate(eta=np.array(self.eta)),
+            estimate=Estimate(eta=np.array(self.eta), nu=np.array([self.surge_mps, 0.0, 0.0, 0.0])),
             control=Control() if self.mode in LIVE else None,
         )
         if self.unknown:
