@@ -118,7 +118,8 @@ def _group_motions(
     could not follow."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     time_s = period_s * np.arange(samples, dtype=np.float64)
-    nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
+    ids = [robot.id for robot in group]
+    nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s, ids)
     path = centre_path(experiment, spec, group, nodes)
     if spec.slow:
 

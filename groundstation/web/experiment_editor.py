@@ -1,6 +1,7 @@
 """SHELL: an operator's edit of pool, path, formation and robots: the real planner judges it, and a file keeps it."""
 
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -9,16 +10,15 @@ import msgspec
 import numpy as np
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.web.commented_file import commented
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_samples, paths
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import EXPERIMENTS, Experiment, dump_experiment, load_experiment
 from shoal.config.formation_shapes import shape_nodes
-from shoal.config.loader import check
+from shoal.config.loader import check, read_toml
 from shoal.errors import ConfigError
-from shoal.messages.messages import Trajectory
+from shoal.messages.messages import Order, Trajectory
 from shoal.runtime.output_files import replace_text
 
 EDITED = Path("experiments")  # below where the station was started
@@ -99,11 +99,37 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     return {"ok": not problems, "problems": problems, **shown}
 
 
-def formed(experiment: Experiment, plan: Callable[[str], PlanSegment], form: str) -> dict[str, Any]:
-    """Plan another form of the running formation: its paths and its least distance, or the reason against it."""
+def loadable(robots: tuple[int, ...]) -> list[str]:
+    """Experiments for just these robots: shipped ones by name, those of the editor as files."""
+    return [name for name, ids in _experiments_with_robots() if sorted(ids) == sorted(robots)]
+
+
+def _experiments_with_robots() -> Iterator[tuple[str, list[Any]]]:
+    files = {path.stem: path for path in sorted(EXPERIMENTS.glob("*.toml"))}
+    files |= {str(path): path for path in sorted(EDITED.glob("*.toml"))}
+    for name, path in files.items():
+        with contextlib.suppress(ConfigError):
+            robots = read_toml(path).get("robots")
+            yield name, [robot.get("id") for robot in robots if isinstance(robot, dict)] if isinstance(robots, list) else []
+
+
+def flight_text(order: Order, text: str) -> str:
+    """The text of a request as the station takes it: of a PATH the experiment, where a page gave the name of one that is
+    `loadable`. Raises ConfigError."""
+    if order is not Order.PATH or "\n" in text or "=" in text:
+        return text
+    known = [name for name, _ in _experiments_with_robots()]
+    if text not in known:
+        raise ConfigError(f"experiment {text!r}: no such experiment (allowed: {', '.join(known)})")
+    return dump_experiment(load_experiment(text))
+
+
+def drafted(experiment: Experiment, plan: Callable[[], PlanSegment]) -> dict[str, Any]:
+    """Another form or path of the formation as it would be flown: its paths and its least distance, or the reason against
+    it."""
     try:
-        segment = plan(form)
-    except PlanError as error:
+        segment = plan()
+    except ConfigError as error:
         return {"ok": False, "problems": str(error).splitlines()}
     ahead = round((segment.end_s - segment.centre.begin_s) / segment.centre.period_s)
     flown = min(max(ahead, 2), len(segment.centre.eta))

@@ -158,7 +158,9 @@ def test_a_page_gets_the_scene_then_states_as_they_come(lab: ServedStation) -> N
     assert frame["robots"][1]["state"]["mode"] == "ARMED"
     assert "state" not in frame["robots"][0]
     assert any(line["robot"] == 1 and line["text"].startswith("not heard (start its agent") for line in frame["preflight"])
-    assert frame["allowed"] == ["load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end"]
+    assert frame["allowed"] == [
+        "load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end", "formation", "path",
+    ]  # fmt: skip
     lab.robots.publish(topics.PREVIEW, Preview(b"jpeg"), time.time_ns())
     assert page.until(lambda f: f["k"] == "picture")["jpeg"] == b"jpeg"
 
