@@ -28,7 +28,7 @@ LAST_CALL_S = 0.3  # before the beginning: all robots must have the next segment
 
 
 @dataclass(eq=False)
-class Flight:
+class FlownPath:
     """A path with its formation, as an experiment gives it."""
 
     experiment: Experiment
@@ -46,7 +46,7 @@ class PlanRequest:
 
     name: str
     make: Callable[[OutOfTime], PlanSegment]
-    flight: Flight | None = None  # another one that the plan begins
+    flight: FlownPath | None = None  # another one that the plan begins
 
     def plan(self, out_of_time: OutOfTime = never) -> PlanSegment:
         """Compute the plan. Raises PlanError, also when `out_of_time`."""
@@ -69,16 +69,16 @@ class PlanManager:
         self.by_operator = False  # the other path was requested by the operator
         self.monitor = ObstacleMonitor(experiment)
         self._first, self._roster = first, roster
-        self._flight = Flight(experiment, first)
+        self._flight = FlownPath(experiment, first)
         self._purpose: Callable[[Fleet, float], Callable[[OutOfTime], PlanSegment]] | None = None  # of coming to rest
-        self._coming: Flight | None = None  # that begins then
+        self._coming: FlownPath | None = None  # that begins then
 
     def reset(self) -> None:
         """Start again at the beginning of the first segment, with all robots."""
         self.segment, self.progress_s = self._first, 0.0
         self._roster.reset(self._first)
 
-    def adopt(self, segment: PlanSegment, flight: Flight | None = None) -> None:
+    def adopt(self, segment: PlanSegment, flight: FlownPath | None = None) -> None:
         """Fly `segment` from now on; with another `flight` it is also what the next start flies."""
         self.segment, self.next = segment, None
         if flight is not None:
@@ -86,12 +86,12 @@ class PlanManager:
             self._take(flight, first, {r: first.trajectories[r].eta[0] for r in self._roster.all_robots})
         self._roster.adopt(segment)
 
-    def adopt_at_rest(self, segment: PlanSegment, flight: Flight) -> None:
+    def adopt_at_rest(self, segment: PlanSegment, flight: FlownPath) -> None:
         """Fly `segment` with the next start, from where the robots are."""
         self._take(flight, segment, {r: segment.trajectories[r].eta[0] for r in self._roster.all_robots})
         self.reset()
 
-    def _take(self, flight: Flight, first: PlanSegment, starts: Mapping[int, Array]) -> None:
+    def _take(self, flight: FlownPath, first: PlanSegment, starts: Mapping[int, Array]) -> None:
         self._flight, self._first, self.starts = flight, first, dict(starts)
         self.flown = self.monitor.flown = flight.experiment
 
@@ -197,7 +197,7 @@ class PlanManager:
 
     def target_flight(self, flown: Experiment) -> None:
         """Plan the next rest's segment to the beginning of another path, and on along it."""
-        flight = Flight(flown)
+        flight = FlownPath(flown)
 
         def plan(fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
@@ -208,7 +208,7 @@ class PlanManager:
     def request_at_rest(self, fleet: Fleet, flown: Experiment | None, form: str) -> None:
         """Request what the next start flies, from where the robots rest: another experiment's path, or the present one in
         another form."""
-        flight = Flight(self.flown) if flown is None else Flight(flown)
+        flight = FlownPath(self.flown) if flown is None else FlownPath(flown)
         rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
         obstacles, present = self.discs_to_avoid(fleet), self._flight
 

@@ -118,9 +118,9 @@ def flight_text(order: Order, text: str) -> str:
     `loadable`. Raises ConfigError."""
     if order is not Order.PATH or "\n" in text or "=" in text:
         return text
-    known = [name for name, _ in _experiments_with_robots()]
-    if text not in known:
-        raise ConfigError(f"experiment {text!r}: no such experiment (allowed: {', '.join(known)})")
+    names = [name for name, _ in _experiments_with_robots()]
+    if text not in names:
+        raise ConfigError(f"experiment {text!r}: no such experiment (allowed: {', '.join(names)})")
     return dump_experiment(load_experiment(text))
 
 
