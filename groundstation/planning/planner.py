@@ -21,8 +21,9 @@ from groundstation.planning.feasibility import (
     robot_problems,
 )
 from groundstation.planning.formation import NodeMotion, SlotOffset, node_motion, slot_offsets
-from groundstation.planning.paths import Path, PathState, make_path
+from groundstation.planning.paths import Path, PathState
 from groundstation.planning.route_planner import candidate_routes
+from groundstation.planning.straight_sides import make_path
 from groundstation.planning.time_scaling import scale_time
 from shoal.config.experiment import Experiment
 from shoal.config.scene import PathSpec, RobotConfig, Route

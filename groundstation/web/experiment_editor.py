@@ -1,22 +1,24 @@
 """SHELL: an operator's edit of pool, path, formation and robots: the real planner judges it, and a file keeps it."""
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from groundstation.planning import planner
+from groundstation.planning.feasibility import figures
 from groundstation.planning.segment import PlanSegment
+from groundstation.planning.straight_sides import make_path
 from groundstation.web.commented_file import commented
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_samples, paths
 from shoal.config.experiment import EXPERIMENTS, Experiment, dump_experiment, load_experiment
 from shoal.config.formation_shapes import shape_nodes
 from shoal.config.loader import check, read_toml
+from shoal.config.scene import Waypoints
 from shoal.errors import ConfigError
 from shoal.messages.messages import Order, Trajectory
 from shoal.runtime.output_files import replace_text
@@ -24,10 +26,14 @@ from shoal.runtime.output_files import replace_text
 EDITED = Path("experiments")  # below where the station was started
 # The path's keys by the edit's, for each kind of path
 _PATH_KEYS = {
-    "waypoints": {"points_m": "points_m", "start_index": "start_index", "speed_mps": "speed_mps", "depth_m": "depth_m"},
+    "waypoints": {
+        key: key for key in ("points_m", "start_index", "speed_mps", "depth_m", "laps", "corner", "corner_m", "stop")
+    },
     "circle": {"diameter_m": "diameter_m", "lap_s": "lap_s", "depth_m": "depth_m"},
     "route": {"points_m": "via_m", "speed_mps": "speed_mps", "depth_m": "depth_m"},
 }
+
+_OF_PATHS = sorted({key for keys in _PATH_KEYS.values() for key in keys})
 
 
 def edited(experiment: Experiment, edit: Edit) -> Experiment:
@@ -37,9 +43,7 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
     if "kind" in values and values["kind"] != table["path"]["kind"]:
         table["path"] = {"kind": values["kind"]}
     kind = table["path"]["kind"]
-    foreign = [
-        k for k in ("points_m", "start_index", "speed_mps", "diameter_m", "lap_s") if k in values and k not in _PATH_KEYS[kind]
-    ]
+    foreign = [k for k in _OF_PATHS if k in values and k not in _PATH_KEYS[kind]]
     if foreign:
         raise ConfigError(f"path.{foreign[0]}: a path of kind {kind} has none (allowed: {', '.join(_PATH_KEYS[kind])})")
     table["path"] |= {key: values[name] for name, key in _PATH_KEYS[kind].items() if name in values}
@@ -90,7 +94,11 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     try:
         changed = edited(experiment, edit)
         shown = {"nodes_m": [[robot.id, *robot.node_m] for robot in changed.robots]}  # also of what cannot be flown
-        drafted, problems = planner.draft(changed)
+        try:
+            drafted, problems = planner.draft(changed)
+        except ConfigError:
+            shown |= _shown_to_its_end(changed)
+            raise
         shown |= _shown(changed, drafted.trajectories)
         if not problems:
             planner.start_poses(changed, drafted.trajectories)
@@ -133,8 +141,12 @@ def drafted(experiment: Experiment, plan: Callable[[], PlanSegment]) -> dict[str
         return {"ok": False, "problems": str(error).splitlines()}
     ahead = round((segment.end_s - segment.centre.begin_s) / segment.centre.period_s)
     flown = min(max(ahead, 2), len(segment.centre.eta))
-    about = {"clearance_m": clearance_m(segment.trajectories, flown), "needed_m": 2.0 * experiment.safety.radius_m}
-    return {"ok": True, "problems": [], "paths": paths(segment.trajectories, flown), **about}
+    return {
+        "ok": True,
+        "problems": [],
+        "paths": paths(segment.trajectories, flown),
+        "figures": _figures(experiment, segment.trajectories, flown),
+    }
 
 
 def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[str, Any]:
@@ -142,16 +154,23 @@ def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> di
     return {
         "paths": paths(trajectories, flown),
         "duration_s": experiment.duration_s,
-        "clearance_m": clearance_m(trajectories, flown),
-        "needed_m": 2.0 * experiment.safety.radius_m,
-        "fastest_mps": max(float(np.hypot(*t.velocity[:flown, :2].T).max()) for t in trajectories.values()),
+        "figures": _figures(experiment, trajectories, flown),
     }
 
 
-def clearance_m(trajectories: Mapping[int, Trajectory], flown: int) -> float:
-    """The least distance between the centres of any two robots; a large one if there is one robot only."""
-    pairs = combinations(trajectories.values(), 2)
-    return min((float(np.linalg.norm(a.eta[:flown, :3] - b.eta[:flown, :3], axis=1).min()) for a, b in pairs), default=1e3)
+def _shown_to_its_end(experiment: Experiment) -> dict[str, Any]:
+    """Paths that end before the run, as far as they go; nothing of others that cannot be planned."""
+    with contextlib.suppress(ConfigError, ValueError):
+        if isinstance(experiment.path, Waypoints):
+            end_s = make_path(experiment.path).end_s
+            period_s = experiment.controller.period_s
+            ended = experiment.model_copy(update={"duration_s": min(experiment.duration_s, end_s // period_s * period_s)})
+            return _shown(ended, planner.draft(ended)[0].trajectories)
+    return {}
+
+
+def _figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], flown: int) -> list[dict[str, Any]]:
+    return [dataclasses.asdict(figure) for figure in figures(experiment, trajectories, flown)]
 
 
 def save(experiment: Experiment, edit: Edit, name: str) -> dict[str, Any]:

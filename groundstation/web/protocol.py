@@ -89,6 +89,10 @@ class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     points_m: Annotated[list[Vec2], msgspec.Meta(min_length=2, max_length=200)] | None = None  # waypoints, or a route's places
     start_index: Annotated[int, msgspec.Meta(ge=0, le=199)] | None = None  # of the waypoint at which the run begins
     speed_mps: Typed | None = None
+    laps: Annotated[int, msgspec.Meta(ge=0, le=2**31)] | None = None  # of waypoints, as what follows
+    corner: Literal["smooth", "round", "stop"] | None = None
+    corner_m: Typed | None = None
+    stop: bool | None = None
     diameter_m: Typed | None = None
     lap_s: Typed | None = None
     depth_m: Typed | None = None

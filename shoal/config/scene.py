@@ -56,10 +56,10 @@ class Circle(Section):
 
 
 class Waypoints(Section):
-    """A natural cubic spline through waypoints (equations 12, 13), flown at constant speed."""
+    """A way through waypoints: a natural cubic spline (equations 12, 13) flown at constant speed, or straight sides."""
 
     kind: Literal["waypoints"]
-    """A smooth curve through waypoints."""
+    """A way through waypoints."""
     points_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]
     """Waypoints x, y of the formation's centre, in order."""
     speed_mps: Positive
@@ -76,11 +76,17 @@ class Waypoints(Section):
     """Slow down where a robot would exceed its limits, instead of refusing the plan."""
     stop: bool = False
     """Stop at the last waypoint, and stay. False: the run must end before the path does."""
+    corner: Literal["smooth", "round", "stop"] = "smooth"
+    """One smooth curve through all waypoints; straight sides with round corners; or a stop and a turn at each corner."""
+    corner_m: Positive = 0.5
+    """Distance before a round corner at which the path leaves its side; less where sides are shorter than twice that."""
 
     @model_validator(mode="after")
     def _starts_on_the_path(self) -> Self:
         if self.start_index >= len(self.points_m):
             raise ValueError(f"start_index = {self.start_index}: no such waypoint (allowed: 0 to {len(self.points_m) - 1})")
+        if self.corner == "stop" and self.dive_mps != 0.0:
+            raise ValueError(f"dive_mps = {self.dive_mps:g}: a path that stops at its corners is level (allowed: 0)")
         if len(self.points_m) * self.laps > MOST_WAYPOINTS:
             raise ValueError(f"laps = {self.laps}: {len(self.points_m)} waypoints so often are more than {MOST_WAYPOINTS}")
         return self

@@ -26,6 +26,21 @@ interface WaypointPath {
   speed_mps: number;
   depth_m: number;
   start_index: number;
+  laps: number;
+  corner: Corner;
+  corner_m: number;
+  stop: boolean;
+}
+
+export type Corner = "smooth" | "round" | "stop";
+
+/** A figure of a plan, the worst of all robots, and what is allowed: at least, of a distance, else at most. */
+export interface PlanFigure {
+  what: string;
+  unit: string;
+  value: number;
+  limit: number;
+  least: boolean;
 }
 
 interface RoutePath {
@@ -184,9 +199,7 @@ export interface Tried {
   problems: string[];
   paths?: PathSamples[];
   duration_s?: number;
-  clearance_m?: number;
-  needed_m?: number;
-  fastest_mps?: number;
+  figures?: PlanFigure[];
   nodes_m?: [number, number, number, number][]; // robot, x, y, z
 }
 
@@ -197,8 +210,7 @@ export interface Drafted {
   ok: boolean;
   problems: string[];
   paths?: PathSamples[];
-  clearance_m?: number;
-  needed_m?: number;
+  figures?: PlanFigure[];
 }
 
 /** A line of the log. */
@@ -261,6 +273,10 @@ export interface Edit {
   points_m?: [number, number][];
   start_index?: number;
   speed_mps?: number;
+  laps?: number;
+  corner?: Corner;
+  corner_m?: number;
+  stop?: boolean;
   diameter_m?: number;
   lap_s?: number;
   depth_m?: number;

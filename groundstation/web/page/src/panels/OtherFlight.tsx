@@ -4,6 +4,7 @@
 import { effect, type Signal, signal } from "@preact/signals";
 import { nextSerial, order, say } from "../link";
 import { SHAPES } from "../editor/model";
+import { Figures } from "./Figures";
 import { connected, drafted, drawSoon, ended, inControl, scene, shown } from "../store";
 import type { Snapshot } from "../wire";
 
@@ -73,9 +74,12 @@ function Answer({ what }: { what: What }) {
   if (answer === null || answer.n !== question.value) return <p class="hint">asking the planner …</p>;
   if (!answer.ok) return <p class="reason" role="status">✕ {answer.problems[0]}</p>;
   return (
-    <p class="good" role="status">
-      ✓ can be flown: closest {answer.clearance_m! > 999 ? "-" : `${answer.clearance_m!.toFixed(2)} m`} (needs {answer.needed_m!.toFixed(2)})
-    </p>
+    <>
+      <p class="good" role="status">
+        ✓ can be flown
+      </p>
+      <Figures figures={answer.figures ?? []} />
+    </>
   );
 }
 
