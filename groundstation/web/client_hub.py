@@ -364,7 +364,7 @@ class ClientHub:
     def _order(self, order: Order, request: protocol.OrderRequest) -> tuple[str, int]:
         """Ask it of the station. Returns the reason of a refusal, or nothing, and the request's number."""
         try:
-            text = flight_text(order, request.text)
+            text = flight_text(self._source.experiment, order, request.text, request.edit)
         except ConfigError as error:
             return str(error), 0
         return self._source.station.request(order, request.via_m, request.robot, text)
@@ -416,7 +416,10 @@ class ClientHub:
     async def _preview_flight(self, watcher: Client, request: protocol.PreviewFlight) -> None:
         order, station = order_named(request.order), self._source.station
         answer = await self._at(
-            self._plans, drafted, self._source.experiment, lambda: station.draft(order, flight_text(order, request.text))
+            self._plans,
+            drafted,
+            self._source.experiment,
+            lambda: station.draft(order, flight_text(self._source.experiment, order, request.text)),
         )
         watcher.note({"k": "drafted", "n": request.n} | answer)
 

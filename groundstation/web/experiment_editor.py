@@ -121,9 +121,11 @@ def _experiments_with_robots() -> Iterator[tuple[str, list[Any]]]:
             yield name, [robot.get("id") for robot in robots if isinstance(robot, dict)] if isinstance(robots, list) else []
 
 
-def flight_text(order: Order, text: str) -> str:
-    """The text of a request as the station takes it: of a PATH the experiment, where a page gave the name of one that is
-    `loadable`. Raises ConfigError."""
+def flight_text(experiment: Experiment, order: Order, text: str, edit: Edit | None = None) -> str:
+    """The text of a request as the station takes it: of a PATH the experiment, where a page gave an edit, or the name of one
+    that is `loadable`. Raises ConfigError."""
+    if order is Order.PATH and edit is not None:
+        return dump_experiment(edited(experiment, edit).model_copy(update={"name": "edited"}))
     if order is not Order.PATH or "\n" in text or "=" in text:
         return text
     names = [name for name, _ in _experiments_with_robots()]

@@ -50,36 +50,6 @@ class Release(msgspec.Struct, tag_field="kind", tag="release", forbid_unknown_fi
     """Give control back."""
 
 
-class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
-    """An order for the whole fleet, or for `robot`; `n` comes back with the answer. `via_m`: places of a `go`."""
-
-    n: Count
-    order: OrderName
-    via_m: Annotated[list[Vec2], msgspec.Meta(max_length=MOST_PLACES)] = []
-    robot: RobotId = 0
-    text: DetailText = ""  # form of a `formation`, what breaks of a `fault`, of a `path` an experiment's name or its TOML
-    seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
-
-
-class DriveRequest(msgspec.Struct, tag_field="kind", tag="drive", forbid_unknown_fields=True, frozen=True):
-    """Velocity of one robot in its body frame, now; the page says it again while a key is held. All zeros: hold."""
-
-    robot: RobotId
-    surge_mps: Velocity
-    heave_mps: Velocity
-    yaw_rate_radps: Velocity
-    seen_ms: Count = 0  # as of an order
-
-
-class TuneRequest(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
-    """Other gains for the whole fleet: those that are named; none: those before. `n` comes back with the answer."""
-
-    n: Count
-    values: Annotated[dict[Annotated[str, msgspec.Meta(max_length=64)], Typed], msgspec.Meta(max_length=64)] | None = None
-    next_lap: bool = False
-    seen_ms: Count = 0  # as of an order
-
-
 class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Changes of pool, islands, path, formation and robots. What is None stays as it is."""
 
@@ -103,6 +73,37 @@ class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     nodes_m: Annotated[dict[EditedId, Vec3], msgspec.Meta(max_length=49)] | None = None
     shape: Shape | None = None  # gives every robot its node instead
     spacing_m: Typed | None = None
+
+
+class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
+    """An order for the whole fleet, or for `robot`; `n` comes back with the answer. `via_m`: places of a `go`."""
+
+    n: Count
+    order: OrderName
+    via_m: Annotated[list[Vec2], msgspec.Meta(max_length=MOST_PLACES)] = []
+    robot: RobotId = 0
+    text: DetailText = ""  # form of a `formation`, what breaks of a `fault`, of a `path` an experiment's name or its TOML
+    edit: Edit | None = None  # of a `path`: the running experiment with this edit, in place of a text
+    seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
+
+
+class DriveRequest(msgspec.Struct, tag_field="kind", tag="drive", forbid_unknown_fields=True, frozen=True):
+    """Velocity of one robot in its body frame, now; the page says it again while a key is held. All zeros: hold."""
+
+    robot: RobotId
+    surge_mps: Velocity
+    heave_mps: Velocity
+    yaw_rate_radps: Velocity
+    seen_ms: Count = 0  # as of an order
+
+
+class TuneRequest(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
+    """Other gains for the whole fleet: those that are named; none: those before. `n` comes back with the answer."""
+
+    n: Count
+    values: Annotated[dict[Annotated[str, msgspec.Meta(max_length=64)], Typed], msgspec.Meta(max_length=64)] | None = None
+    next_lap: bool = False
+    seen_ms: Count = 0  # as of an order
 
 
 class PreviewEdit(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fields=True, frozen=True):

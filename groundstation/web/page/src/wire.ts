@@ -297,7 +297,7 @@ export type Request =
   | { kind: "ack"; n: number }
   | { kind: "take"; over?: boolean }
   | { kind: "release" }
-  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; robot?: number; text?: string; seen_ms: number }
+  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; robot?: number; text?: string; edit?: Edit; seen_ms: number }
   | { kind: "draft"; n: number; order: "formation" | "path"; text: string }
   | { kind: "drive"; robot: number; surge_mps: number; heave_mps: number; yaw_rate_radps: number; seen_ms: number }
   | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean; seen_ms: number }

@@ -1,11 +1,11 @@
 /** Pool, path, formation and robots by number and by name; dragging happens on the map. */
 
 import { signal } from "@preact/signals";
-import { nextSerial, say } from "../link";
+import { nextSerial, order, say } from "../link";
 import { NumberInput } from "../NumberInput";
 import { after } from "../panels/End";
 import { Figures } from "../panels/Figures";
-import { chosen, connected, inControl, saved, scene, tried } from "../store";
+import { chosen, connected, inControl, saved, scene, shown, tried } from "../store";
 import { adding, pickedName, removePicked } from "./canvas";
 import type { Corner } from "../wire";
 import type { Draft, PathKind } from "./model";
@@ -94,6 +94,26 @@ function SaveForm() {
   );
 }
 
+/** What of an edit the robots that run cannot have; empty if there is nothing of the kind. */
+function foreign(d: Draft): string {
+  const s = scene.value!;
+  const same = (a: unknown, b: unknown) => JSON.stringify(a) === JSON.stringify(b);
+  if (!same([...d.nodes.keys()], s.robots.map(({ id }) => id))) return "another fleet: save it, and start it as a run of its own";
+  return same(d.pool, s.pool_m) && same(d.islands, s.islands) ? "" : "another pool: save it, and start it as a run of its own";
+}
+
+/** In a run: the robots fly the edited path, from a hold at once, at rest with the next start. */
+function FlyHere({ d }: { d: Draft }) {
+  const state = shown.value;
+  if (state === null || scene.value?.mode === "replay") return null;
+  const cannot = !inControl.value ? "take control first" : !state.allowed.includes("path") ? "not under way: Hold first" : !verdict.value?.ok ? "it cannot be flown" : foreign(d);
+  return (
+    <button type="button" class="order start" disabled={cannot !== ""} title={cannot || "its path and places, in this run"} onClick={() => order("path", [], 0, "", "as edited", toEdit(d))}>
+      Fly this here
+    </button>
+  );
+}
+
 /** After a run: fly the edit, without a file of its own. */
 function FlyNow({ d }: { d: Draft }) {
   if (!scene.value?.offers?.includes("edited")) return null;
@@ -147,11 +167,11 @@ function WaypointFields({ d }: { d: Draft }) {
     <>
       <Number_ text="laps" of="path.laps" unit="" step={1} min={1} value={d.laps} onChange={(laps) => change({ ...d, laps: Math.max(1, Math.round(laps)) })} />
       <label class="number" title={hint("path.corner")}>
-        <span>between waypoints</span>
+        <span>corners</span>
         <select value={d.corner} onChange={(event) => change({ ...d, corner: event.currentTarget.value as Corner })}>
-          <option value="smooth">a smooth curve</option>
-          <option value="round">straight, round corners</option>
-          <option value="stop">straight, stop and turn</option>
+          <option value="smooth">smooth curve</option>
+          <option value="round">round</option>
+          <option value="stop">stop and turn</option>
         </select>
       </label>
       {d.corner === "round" && (
@@ -259,6 +279,7 @@ export function Editor() {
       </h2>
       <p class="hint">Drag waypoints, robots' places, islands, their shores and the pool's corner on the map. Nothing here moves a robot.</p>
       <Verdict />
+      <FlyHere d={d} />
       <FlyNow d={d} />
       <Tools d={d} />
       <h3>Path</h3>
