@@ -132,6 +132,10 @@ TRANSITIONS: tuple[MissionTransition, ...] = (
     _row(NOMINAL, Order.GO, MissionState.SWITCHING),
     _row(NOMINAL, Order.FORMATION, MissionState.SWITCHING),
     _row(MissionState.PAUSED, Order.FORMATION, MissionState.HALTING),
+    _row(MissionState.PAUSED, Order.PATH, MissionState.HALTING),
+    # at rest: the next start flies it
+    _row(AT_REST, Order.FORMATION, MissionState.WAITING),
+    _row(AT_REST, Order.PATH, MissionState.WAITING),
     _row(
         NOMINAL | AT_REST | {MissionState.SWITCHING, MissionState.PAUSED},
         Order.RETURN,
@@ -244,7 +248,7 @@ def rejection_reason(order: Order, state: MissionState) -> str:
 
 WATER = (Order.OUT, Order.BACK_IN)  # requests that are always for one robot
 ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO, *WATER)  # requests that may be for one robot alone
-WITH_DETAILS = (Order.GO, Order.FORMATION)  # requests with places, or a form
+WITH_DETAILS = (Order.GO, Order.FORMATION, Order.PATH)  # requests with places, a form, or an experiment
 # requests without arguments; END is the station's own
 FLEET_REQUESTS = tuple(
     order_name(order) for order in Order if order is Order.END or (order not in WITH_DETAILS and states_allowing(order))

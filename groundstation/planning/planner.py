@@ -21,8 +21,9 @@ from groundstation.planning.feasibility import (
     robot_problems,
 )
 from groundstation.planning.formation import NodeMotion, SlotOffset, node_motion, slot_offsets
-from groundstation.planning.paths import Path, PathState, make_path
+from groundstation.planning.paths import Path, PathState
 from groundstation.planning.route_planner import candidate_routes
+from groundstation.planning.straight_sides import make_path
 from groundstation.planning.time_scaling import scale_time
 from shoal.config.experiment import Experiment
 from shoal.config.scene import PathSpec, RobotConfig, Route
@@ -118,7 +119,8 @@ def _group_motions(
     could not follow."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     time_s = period_s * np.arange(samples, dtype=np.float64)
-    nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
+    ids = [robot.id for robot in group]
+    nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s, ids)
     path = centre_path(experiment, spec, group, nodes)
     if spec.slow:
 

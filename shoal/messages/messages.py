@@ -138,6 +138,7 @@ class Order(IntEnum):
     BACK_IN = 23  # To the station only: it is in the water again.
     FORMATION = 24  # To the station only: the formation takes another form.
     FAULT = 25  # To the station only, in simulation: something breaks.
+    PATH = 26  # To the station only: the formation flies the path of another experiment.
 
 
 class Progress(IntEnum):
@@ -431,7 +432,7 @@ class Command:
     start_ns: Annotated[Int64, 13] = 0  # START, RESUME: instant on the station's clock.
     about: Annotated[Uint32, 15] = 0  # To the station, with NONE: number of the request whose outcome is asked for.
     drive: Annotated[DriveVelocity | None, 16] = None  # DRIVE: the velocity.
-    text: Annotated[str, 17] = ""  # FORMATION: the form, `line 0.8 turn 30`. FAULT: what breaks, `marker 2 lost for 5`.
+    text: Annotated[str, 17] = ""  # FORMATION: the form, `line 0.8`. FAULT: what breaks. PATH: the other experiment as TOML.
 
 
 @dataclass(frozen=True, eq=False)

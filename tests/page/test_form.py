@@ -39,13 +39,13 @@ def desk(browser: Browser, experiment: Experiment) -> Iterator[LoneStation]:
 def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStation, experiment: Experiment) -> None:
     forms: list[str] = []
 
-    def plan(form: str) -> PlanSegment:
+    def plan(order: Order, form: str) -> PlanSegment:
         forms.append(form)
         if form.startswith("column"):
             raise PlanError("robot 3: 0.260 m beyond the wall's clearance in y")
         return first_segment(experiment)
 
-    desk.plan_form = plan  # type: ignore[method-assign]
+    desk.draft = plan  # type: ignore[method-assign]
     page = desk.page
     button(page, "Formation…").click()
     page.get_by_label("Shape of the formation").select_option("column")
@@ -57,7 +57,7 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     assert forms[-1] == "line 1.1" and desk.orders == []
     button(page, "Fly this form").click()
     expect(page.locator(".given")).to_contain_text("formation line 1.1 sent")
-    assert desk.orders == [Order.FORMATION] and desk.form == "line 1.1"
+    assert desk.orders == [Order.FORMATION] and desk.text == "line 1.1"
 
 
 def test_places_are_typed_where_nobody_can_click(desk: LoneStation) -> None:
@@ -129,6 +129,6 @@ def test_the_simulation_is_broken_by_a_button_and_real_robots_have_none(browser:
         page.get_by_label("How long it stays broken, s").fill("5")
         button(page, f"Kill thruster {experiment.robot_ids[1]}").click()
         expect(page.locator(".given")).to_contain_text("sent")
-        assert desk.orders == [Order.FAULT] and desk.form == f"thruster {experiment.robot_ids[1]}/3 dead for 5"
+        assert desk.orders == [Order.FAULT] and desk.text == f"thruster {experiment.robot_ids[1]}/3 dead for 5"
         desk.robots.publish(topics.EVENT, Event(2, "sim-bridge", "fault: camera frozen"), desk.clock.now_ns())
         expect(page.locator(".faults h2")).to_contain_text("camera frozen")

@@ -45,6 +45,7 @@ class ObedientRobot:
     test: str = ""
     tuning_id: str = ""
     eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    surge_mps: float = 0.0
     age_s: float = 0.02
     fault: str = ""
     trajectory_s: float = 0.0
@@ -93,7 +94,7 @@ class ObedientRobot:
             blind=self.blind,
             board=BoardReading(battery_v=self.battery_v),
             timing=StepTiming(board_age_ms=20.0),
-            estimate=Estimate(eta=np.array(self.eta)),
+            estimate=Estimate(eta=np.array(self.eta), nu=np.array([self.surge_mps, 0.0, 0.0, 0.0])),
             control=Control() if self.mode in LIVE else None,
         )
         if self.unknown:

@@ -84,7 +84,7 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
         yield Station(
             experiment, bus, WallClock(), recorder, Mission(experiment, segment, starts, False), tuner,
             LapStatistics(tuner.lap_s),
-            subscribe_fleet(bus, experiment.robot_ids), threads, starts,
+            subscribe_fleet(bus, experiment.robot_ids), threads,
         )  # fmt: skip
     recorder.close()
 
