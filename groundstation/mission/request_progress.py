@@ -176,7 +176,15 @@ class RequestTracker:
         self._count += 1
         at_rest = order in OTHER_FLIGHTS and mission.state is MissionState.WAITING
         request = _Request(
-            self._count, order, mission.segment, mission.roster.active, tuning_id, only, task, at_rest, begun_ns=mission.cycle_ns
+            self._count,
+            order,
+            mission.segment,
+            mission.roster.active,
+            tuning_id,
+            only,
+            task,
+            at_rest,
+            begun_ns=mission.cycle_ns,
         )
         self._open.append(request)
         self._record(request, mission)

@@ -53,9 +53,13 @@ def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Seque
         "title": campaign.title or f"Campaign {campaign.name}",
         "facts": _facts(campaign, rows, flown, wanted),
         # of a sweep it would pool flights that are not of a kind
-        "summary": [(name, MEASURES[name], distribution(numbers)) for name, numbers in values.items() if numbers and not by_key],
+        "summary": [
+            (name, MEASURES[name], distribution(numbers)) for name, numbers in values.items() if numbers and not by_key
+        ],
         "histograms": [
-            (_histogram(numbers, name), MEASURES[name]) for name, numbers in values.items() if len(set(numbers)) > 1 and not by_key
+            (_histogram(numbers, name), MEASURES[name])
+            for name, numbers in values.items()
+            if len(set(numbers)) > 1 and not by_key
         ],
         "groups": [(key, lines, _against(key, lines, shown)) for key, lines in by_key.items()],
         "scatters": [

@@ -39,9 +39,9 @@ def desk(browser: Browser, experiment: Experiment) -> Iterator[LoneStation]:
 def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStation, experiment: Experiment) -> None:
     forms: list[str] = []
 
-    def plan(order: Order, form: str) -> PlanSegment:
-        forms.append(form)
-        if form.startswith("column"):
+    def plan(order: Order, text: str) -> PlanSegment:
+        forms.append(text)
+        if text.startswith("column"):
             raise PlanError("robot 3: 0.260 m beyond the wall's clearance in y")
         return first_segment(experiment)
 

@@ -304,7 +304,7 @@ def test_a_form_is_done_only_when_it_is_flown_also_where_a_gap_closes_meanwhile(
     fleet = SimulatedFleet(an_experiment("close-up", THREE, PLACES))
 
     def ask(order: Order, form: str = "") -> int:
-        reason, number = fleet.core.request(order, fleet.fleet, fleet.now_ns, form=form)
+        reason, number = fleet.core.request(order, fleet.fleet, fleet.now_ns, text=form)
         assert not reason, reason
         return number
 
