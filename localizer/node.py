@@ -88,7 +88,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, opti
 
 @dataclass(frozen=True)
 class FrameOutlets:
-    """Where frames go besides to the localizer's core."""
+    """Outlets of frames besides the localizer's core."""
 
     page: "MjpegServer | None" = None  # the picture with what was found in it, for people
     on_bus: bool = False  # as they are, for other programs

@@ -96,7 +96,7 @@ def _title(comparison: Comparison) -> str:
 
 
 def _method(comparison: Comparison) -> str:
-    """What a paper has to say about the figures: intervals, times and code."""
+    """Statement for a paper about the figures: intervals, times and code."""
     return f"{INTERVALS}; control steps in processor time of this machine; commit {comparison.commit}"
 
 

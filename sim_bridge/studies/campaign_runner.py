@@ -157,7 +157,7 @@ def _write(
 
 
 def _method(campaign: Campaign, rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """What a paper has to say about the figures: seeds, intervals, code, and what a control step takes."""
+    """Statement for a paper about the figures: seeds, intervals, code, and what a control step takes."""
     first, last = campaign.end_seeds
     commits = ", ".join(sorted({str(row["commit"]) for row in rows}))
     yield f"n = {len(rows)} flights, seeds {first} to {last}; 95 % bootstrap intervals; commit {commits or code().commit}"

@@ -89,15 +89,15 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     recorder.close()
 
 
-def test_what_the_recorder_has_to_say_is_told_once(
+def test_a_recorders_warning_is_told_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Recorder, "warning", "pictures are not recorded any longer")
     with a_station(tmp_path) as station, caplog.at_level(logging.WARNING, "shoal"):
         for _ in range(3):
             station.cycle(station.clock.now_ns())
-    said = [record.message for record in caplog.records if record.message.startswith("recorder: ")]
-    assert said == ["recorder: pictures are not recorded any longer"]
+    warnings = [record.message for record in caplog.records if record.message.startswith("recorder: ")]
+    assert warnings == ["recorder: pictures are not recorded any longer"]
 
 
 def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
