@@ -1,5 +1,7 @@
-"""Names and first lines, read from the source: one name for one class, nouns for values, docstrings that say what a thing is
-or does, and tests that are named by what they do and use public names."""
+"""Names and first lines obey their rules: one name for one class, nouns for values, docstrings that say what a thing is.
+
+Tests are named by what they do, begin with what they prove, and use public names. All of it is read from the source.
+"""
 
 import ast
 import io
@@ -21,6 +23,7 @@ KEPT_NAMES = {  # fields that logs and boards' memories have under these names
     ("shoal/messages/messages.py", "heard"),
     ("sim_bridge/thruster_board/board.py", "heard"),
 }
+SHORTEST = 7  # words of the first line of a test file: fewer name a topic, not a behaviour
 RIDDLES = {"who", "whom", "whose", "whoever", "what", "whatever", "where", "wherever", "how", "why", "whether", "when"}
 
 
@@ -194,6 +197,18 @@ def test_a_test_is_named_by_what_it_does() -> None:
         for source in sources("tests")
         for node in nodes(tree_of(source))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and VAGUE.match(node.name)
+    ]
+    assert not offences, "\n".join(offences)
+
+
+def test_a_test_file_begins_with_what_it_proves() -> None:
+    """In a sentence of one line."""
+    offences = [
+        f"{source}: {line}"
+        for source in sources("tests")
+        if source.rpartition("/")[2].startswith("test_")
+        for line in [(ast.get_docstring(tree_of(source)) or "").partition("\n")[0]]
+        if not line.endswith(".") or len(line.split()) < SHORTEST
     ]
     assert not offences, "\n".join(offences)
 

@@ -22,6 +22,7 @@ from typing import Any, TypeVar, cast, get_type_hints, overload
 import llvmlite
 import numba
 from numba.core import caching, compiler, config, serialize, types
+from numba.core.runtime.nrt import rtsys
 from numba.extending import typeof_impl
 
 from shoal.kernels import build as kernel_build
@@ -166,7 +167,7 @@ class KernelFile(caching.NullCache):
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the compiled kernel, or None if it has to be compiled here."""
-        target.refresh()
+        rtsys.initialize(target)  # names that machine code refers to; target.refresh() would also import the compiler's parts
         built_for = f"{stamps[self._function]} {VERSIONS} {target.codegen().magic_tuple()}"
         self.name = kernel_cache.file_name(self._full_name, built_for)
         loaded = self._load(target)

@@ -1,4 +1,4 @@
-"""The station's loop: when it acts."""
+"""The station takes stops and replies at once, drops outdated plans, and ends only when every robot is at rest."""
 
 import logging
 import threading
