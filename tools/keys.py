@@ -19,17 +19,16 @@ from tools import readers
 ROOT = Path(__file__).parents[1]
 LAID = "Written by `make docs` from the models in `shoal/config/`; `groundstation keys-of` prints examples.\n"
 COPIES = 4  # keys that two sections share: the second one is a copy of the first
-OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. In brackets: the
-module that reads the key, unless many do. Ranges: `groundstation keys-of`, the editor's schema, or the error message.
+OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. In brackets:
+the module that reads the key, unless many do. Ranges: `groundstation keys-of`, the editor's schema, or the error message.
 """
 
 
 def _row(entry: KeyEntry, prefix: str) -> str:
     """`key=default` kind unit: meaning (module that reads it)."""
     default = "" if entry.default in ("", "required") else f"={entry.default}"
-    kind = (
-        entry.type.replace("list of ", "").replace("true or false", "" if default else "true/false").replace('" or "', '", "')
-    )
+    boolean = "" if default else "true/false"
+    kind = entry.type.replace("list of ", "").replace("true or false", boolean).replace('" or "', '", "')
     kind = f"{'' if kind == 'number' and entry.unit else kind} {entry.unit}".strip()
     marks = [mark for mark, is_set in (("required", entry.default == "required"), ("live", entry.live)) if is_set]
     about = ", ".join(part for part in (kind, *marks) if part)
@@ -56,12 +55,12 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
     of_kind: dict[str, set[tuple[str, ...]]] = {}  # rows of a section that has several kinds, as the paths
     for table in tables:
         rows = {entry: (entry.name, entry.type, entry.default, entry.meaning) for entry in table.entries}
-        known = of_kind.setdefault(table.name, set())
-        again = [f"`{entry.name.rpartition('.')[2]}`" for entry, row in rows.items() if row in known]
+        earlier_rows = of_kind.setdefault(table.name, set())
+        again = [f"`{entry.name.rpartition('.')[2]}`" for entry, row in rows.items() if row in earlier_rows]
         if again:
-            fresh = tuple(entry for entry, row in rows.items() if row not in known)
+            fresh = tuple(entry for entry, row in rows.items() if row not in earlier_rows)
             table = replace(table, meaning=f"{table.meaning} As above: {', '.join(again)}.", entries=fresh)
-        known |= set(rows.values())
+        earlier_rows |= set(rows.values())
         keys = {entry: (entry.name.rpartition(".")[2], entry.type, entry.meaning) for entry in table.entries}
         first = next((name for name, other_keys in earlier.items() if len(other_keys & set(keys.values())) >= COPIES), "")
         if first:
@@ -128,7 +127,7 @@ def _gains() -> str:
 
 
 def _constants() -> Iterator[str]:
-    yield f"# Constants of controller and observer\n\n{LAID.replace('the models in `shoal/config/`', 'the sources')}"
+    yield "# Constants of controller and observer\n\nWritten by `make docs` from the sources.\n"
     yield "All other gains follow from the vehicle file, the control period and the reported noise"
     yield "([formulas](../control.md#weights)). A name ends with its unit; one without is a ratio. All were flown on the"
     yield "[grid](../evidence/robots.md): 2.3 to 40 kg, thrust x 0.5 to 3, inertia x 0.25 to 8, lag 0.05 to 0.5 s, dead time"
