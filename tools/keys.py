@@ -19,8 +19,9 @@ from tools import readers
 ROOT = Path(__file__).parents[1]
 LAID = "Written by `make docs` from the models in `shoal/config/`; `groundstation keys-of` prints examples.\n"
 COPIES = 4  # keys that two sections share: the second one is a copy of the first
-OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. In brackets:
-the module that reads the key, unless many do. Ranges: `groundstation keys-of`, the editor's schema, or the error message.
+OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. In
+brackets: the module that reads the key, unless many do. Ranges: `groundstation keys-of`, the editor's schema, or the error
+message.
 """
 
 
