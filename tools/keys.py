@@ -18,22 +18,23 @@ from tools import readers
 
 ROOT = Path(__file__).parents[1]
 LAID = "Written by `make docs` from the models in `shoal/config/`; `groundstation keys-of` prints examples.\n"
-COLUMNS = "| Key and default | Value | Meaning | Read in |\n|---|---|---|---|"
 COPIES = 4  # keys that two sections share: the second one is a copy of the first
-OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. Ranges:
-`groundstation keys-of`, the editor's schema, or the error message.
+OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. In
+brackets: the module that reads the key, unless many do. Ranges: `groundstation keys-of`, the editor's schema, or the error
+message.
 """
 
 
 def _row(entry: KeyEntry, prefix: str) -> str:
+    """`key=default` kind unit: meaning (module that reads it)."""
     default = "" if entry.default in ("", "required") else f"={entry.default}"
-    marks = (" required" if entry.default == "required" else "") + (" (live)" if entry.live else "")
-    name = f"`{entry.name.removeprefix(prefix)}{default}`{marks}"
-    kind = entry.type.replace("list of ", "").replace("true or false", "true/false").replace('" or "', '", "')
-    kind = "" if kind == "number" and entry.unit else kind
-    value = f"{kind} {entry.unit}".strip()
-    cells = (name, value, entry.meaning, readers.cell(entry.name))
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    boolean = "" if default else "true/false"
+    kind = entry.type.replace("list of ", "").replace("true or false", boolean).replace('" or "', '", "')
+    kind = f"{'' if kind == 'number' and entry.unit else kind} {entry.unit}".strip()
+    marks = [mark for mark, is_set in (("required", entry.default == "required"), ("live", entry.live)) if is_set]
+    about = ", ".join(part for part in (kind, *marks) if part)
+    reader = readers.cell(entry.name)
+    return f"* `{entry.name.removeprefix(prefix)}{default}`{about and f' {about}'}: {entry.meaning}{reader and f' ({reader})'}"
 
 
 def _table(table: KeyTable) -> Iterator[str]:
@@ -42,7 +43,6 @@ def _table(table: KeyTable) -> Iterator[str]:
     yield f"\n## {f'[[{table.name}]]' if repeated else f'[{table.name}]' if table.name else 'Top of the file'}{when}\n"
     yield f"{table.meaning}\n"
     if table.entries:
-        yield COLUMNS
         prefix = f"{table.name}.{'N.' if repeated else ''}" if table.name else ""
         yield from (
             _row(entry, prefix) for entry in table.entries if not (table.entries[0].when and entry.name.endswith(".kind"))
@@ -56,12 +56,12 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
     of_kind: dict[str, set[tuple[str, ...]]] = {}  # rows of a section that has several kinds, as the paths
     for table in tables:
         rows = {entry: (entry.name, entry.type, entry.default, entry.meaning) for entry in table.entries}
-        known = of_kind.setdefault(table.name, set())
-        again = [f"`{entry.name.rpartition('.')[2]}`" for entry, row in rows.items() if row in known]
+        earlier_rows = of_kind.setdefault(table.name, set())
+        again = [f"`{entry.name.rpartition('.')[2]}`" for entry, row in rows.items() if row in earlier_rows]
         if again:
-            fresh = tuple(entry for entry, row in rows.items() if row not in known)
+            fresh = tuple(entry for entry, row in rows.items() if row not in earlier_rows)
             table = replace(table, meaning=f"{table.meaning} As above: {', '.join(again)}.", entries=fresh)
-        known |= set(rows.values())
+        earlier_rows |= set(rows.values())
         keys = {entry: (entry.name.rpartition(".")[2], entry.type, entry.meaning) for entry in table.entries}
         first = next((name for name, other_keys in earlier.items() if len(other_keys & set(keys.values())) >= COPIES), "")
         if first:
@@ -74,7 +74,7 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
 
 def _page(title: str, intro: str, tables: Iterable[KeyTable]) -> str:
     sections = (line for table in _without_copies(tables) for line in _table(table))
-    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}", *sections]) + "\n"
+    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}".rstrip(), *sections]) + "\n"
 
 
 def _faults() -> Iterator[str]:
@@ -130,19 +130,19 @@ def _gains() -> str:
 
 
 def _constants() -> Iterator[str]:
-    yield f"# Constants of controller and observer\n\n{LAID.replace('the models in `shoal/config/`', 'the sources')}"
+    yield "# Constants of controller and observer\n\nWritten by `make docs` from the sources.\n"
     yield "All other gains follow from the vehicle file, the control period and the reported noise"
     yield "([formulas](../control.md#weights)). A name ends with its unit; one without is a ratio. All were flown on the"
     yield "[grid](../evidence/robots.md): 2.3 to 40 kg, thrust x 0.5 to 3, inertia x 0.25 to 8, lag 0.05 to 0.5 s, dead time"
     yield "up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of the speed."
     for path in CONSTANTS:
-        yield f"\n## {path}\n\n| Constant | Reason |\n|---|---|"
+        yield f"\n## {path}\n"
         lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
         for line in lines:
             match = re.match(r"([A-Z][A-Z0-9_, ]*) = ([^#]+?)  # (.+)", line)
             if match and re.search(r"\d", match[2]) and not re.search(r"range\(|slice\(|{", match[2]):
                 name, value, reason = match.groups()
-                yield f"| `{name} = {value}` | {reason.replace('|', chr(92) + '|')} |"
+                yield f"* `{name} = {value}`: {reason}"
 
 
 CONSTANTS = (

@@ -194,12 +194,18 @@ def _trouble(group: Sequence[FlightFigures]) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
+def _worst_nees(group: Sequence[FlightFigures]) -> str:
+    """The mean NEES of a group of states that is farthest from 1 as a ratio, and the group; empty if none is claimed."""
+    nees = {name: mean for name, mean in _nees(group).items() if mean > 0.0}
+    if not nees:
+        return ""
+    name = max(nees, key=lambda each: abs(math.log(nees[each])))
+    return f"{nees[name]:.2g} {name}"
+
+
 FLIGHTS: Column = ("Flights", lambda group: str(len(group)))
 TROUBLE: Column = ("Trouble", _trouble)
-NEES: Column = (
-    "NEES place, turn, velocity, current",
-    lambda group: ", ".join(f"{n:.2g}" if (n := _nees(group).get(g)) is not None else "-" for g in GROUPS),
-)
+NEES: Column = ("NEES", _worst_nees)
 PATH_COLUMNS: tuple[Column, ...] = (
     FLIGHTS,
     TROUBLE,
@@ -242,7 +248,8 @@ def markdown(run: GridRun, before: GridRun | None = None) -> str:
         "Poses are the simulation's with noise, without a camera. Figures are against the plant's truth; each cell's are",
         "those of its worst flight (the JSON file has all). In a cell flights differ in path, control rate (10, 20, 50 Hz),",
         f"speed, start and sensors. RMS is from 20 s on; HOLD lasts {run.hold_s:g} s and is measured from 10 s on. NEES is 1",
-        "where the observer's covariances are true. A flight is lost if it never settles or never comes back.",
+        "where the observer's covariances are true; shown is the worst group of states.",
+        "A flight is lost if it never settles or never comes back.",
         "",
         f"A flight again: `{run.command.format('CELL', 'N')}`. The worst one of all:",
         f"`{run.command.format(worst.cell, worst.number)}`.",

@@ -39,31 +39,31 @@ WAITS = (
 def groups() -> dict[str, set[MissionState]]:
     """Name -> states, read off the page's list of groups."""
     listed = dict(re.findall(r"^\* \*([a-z ]+)\*: (.+)$", PAGE, re.MULTILINE))
-    found: dict[str, set[MissionState]] = {}
-    while len(found) < len(listed):  # a group may name another
+    state_groups: dict[str, set[MissionState]] = {}
+    while len(state_groups) < len(listed):  # a group may name another
         for name, text in listed.items():
             words = text.split(", ")
-            if all(word in MissionState.__members__ or word.strip("*") in found for word in words):
-                found[name] = states_of(text, found)
-    return found
+            if all(word in MissionState.__members__ or word.strip("*") in state_groups for word in words):
+                state_groups[name] = states_of(text, state_groups)
+    return state_groups
 
 
-def states_of(text: str, known: dict[str, set[MissionState]]) -> set[MissionState]:
+def states_of(text: str, state_groups: dict[str, set[MissionState]]) -> set[MissionState]:
     """States that a cell names."""
     if text == "any":
         return set(MissionState)
     if text.startswith("any but "):
-        return set(MissionState) - states_of(text.removeprefix("any but "), known)
+        return set(MissionState) - states_of(text.removeprefix("any but "), state_groups)
     states: set[MissionState] = set()
     for word in text.split(", "):
-        states |= known[word.strip("*")] if word.startswith("*") else {MissionState[word]}
+        states |= state_groups[word.strip("*")] if word.startswith("*") else {MissionState[word]}
     return states
 
 
 def documented() -> dict[tuple[MissionState, str], MissionState]:
     """(state, what happens) -> state, read off the page."""
     transitions: dict[tuple[MissionState, str], MissionState] = {}
-    known = groups()
+    state_groups = groups()
     for line in PAGE.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 3 and cells[2] in MissionState.__members__:
@@ -73,7 +73,7 @@ def documented() -> dict[tuple[MissionState, str], MissionState]:
         else:
             continue
         for when, to in changes:
-            for state in states_of(when, known):
+            for state in states_of(when, state_groups):
                 assert (state, cells[0]) not in transitions, f"{cells[0]} from {state.name} leads to two places"
                 transitions[state, cells[0]] = MissionState[to]
     return transitions
