@@ -123,7 +123,7 @@ class World:
         if self.faults.gust_mps != self._gust_mps:
             self._gust_mps = self.faults.gust_mps
             self._plant.stream(self._current_mps + np.array([self._gust_mps, 0.0, 0.0]))
-        for board, faults in zip(self.boards, self.faults.imu, strict=True):
+        for board, faults in zip(self.boards, self.faults.imu if changes else (), strict=False):
             board.sensors.faults = faults
         return changes
 

@@ -110,7 +110,7 @@ REACTIONS: tuple[Reaction, ...] = (
     _watched("current too strong", POWERED, Mode.FAULT),
     Reaction(
         "thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT,
-        lambda h: h.likely_cause or "one is broken, or something holds the robot fast",
+        lambda h: h.likely_cause or "one is broken, something holds the robot fast, or the gyroscope is wrong",
     ),
     Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT, lambda h: h.likely_cause),
     _watched("not in time on its path", POWERED, Mode.FAULT),

@@ -134,7 +134,7 @@ class DirectPlant:
     def _apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
         changes = self._faults.at(self._flown_s)
-        for sensors, faults in zip(self._sensors, self._faults.imu, strict=True):
+        for sensors, faults in zip(self._sensors, self._faults.imu if changes else (), strict=False):
             sensors.faults = faults
         return changes
 

@@ -34,7 +34,7 @@ SWAPS = [  # a piece of the code, and what stands there instead
     (r"\bfminf\b", ("fmaxf",)), (r"\bfmaxf\b", ("fminf",)), (r" \* ", (" / ",)), (r" / ", (" * ",)),
 ]  # fmt: skip
 STATEMENT = re.compile(
-    r"^(\s+)(?!return\b|const\b|static\b|struct\b|uint|int|float|bool|break|case|default|else)[^{}#]*;\s*(/\*.*)?$"
+    r"^(\s+)(?!\s|return\b|const\b|static\b|struct\b|uint|int|float|bool|break|case|default|else)[^{}#]*;\s*(/\*.*)?$"
 )
 LONGEST_S = 12  # of the processor, for tests that take 4
 

@@ -4,14 +4,17 @@ A byte takes 3.4 ms.
 """
 
 import ctypes
+import itertools
 import random
 import struct
 from collections.abc import Iterator
 
 import pytest
+from pymavlink.dialects.v20 import common as dialect
 from pymavlink.generator.mavcrc import x25crc
 
 from shoal.mavlink.agent_link import CHANNELS, IGNORED, STANDARD_GRAVITY_MPS2, AgentLink
+from shoal.mavlink.framing import Sender
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import Reading
@@ -364,6 +367,34 @@ def test_streams_older_than_a_minute_or_too_many_are_refused_and_unused_ones_fre
     assert not takes(now - minute + 1, 2)  # that one
 
 
+def test_a_minute_of_a_stream_is_exactly_that(library: ctypes.CDLL, keyed: bytes) -> None:
+    def takes(stamp: int, link_id: int) -> bool:
+        board.put(frame_of(stamp, link_id))
+        board.go(150)
+        return b"SLEW_US_S" in board.output()
+
+    board, minute, now = StoredBoard(library, keyed), 6_000_000, 100_000_000
+    assert takes(now, 0) and takes(now - minute, 1)  # as old as a new stream may be
+    assert all(takes(now + k, k) for k in range(2, 16))
+    assert takes(now + minute, 0) and takes(now + minute + 1, 21)  # in the place of 1
+    assert takes(now + minute + 2, 0) and not takes(now + minute + 3, 22)  # 2 was unused for a minute, and not for more
+    assert takes(now + minute + 3, 0) and takes(now + minute + 4, 22)
+    assert takes(now + 3 * minute, 0)
+    assert all(takes(now + 3 * minute + k, 50 + k) for k in range(1, 16))  # all the others were freed
+    assert takes(now + 5 * minute, 51)
+    assert all(takes(now + 5 * minute + k, 70 + k) for k in range(1, 16))  # the first place, too
+
+
+def test_signatures_of_frames_of_each_length_are_verified(library: ctypes.CDLL, keyed: bytes) -> None:
+    """The last block of a hash has from none to all of its bytes."""
+    board, stamps = StoredBoard(library, keyed), itertools.count(100_000)
+    sender = Sender((1, 191), KEY, lambda: next(stamps))
+    for length in range(1, 51):
+        frame = sender.pack(dialect.MAVLink_statustext_message(6, b"a" * length))
+        assert board.receive(frame, board.now_us * 1000), length
+        assert not board.receive(frame[:-1] + bytes([frame[-1] ^ 1]), board.now_us * 1000)
+
+
 def test_a_new_key_frees_all_streams(library: ctypes.CDLL, keyed: bytes) -> None:
     board, now = StoredBoard(library, keyed), 100_000_000
     for link_id in range(16):
@@ -385,3 +416,11 @@ def test_hil_mode_is_not_kept_but_the_other_settings_are(library: ctypes.CDLL, k
         memory = rewritten(memory, VALUES_AT + 4 * PARAMETERS.index[name], struct.pack("<f", value))
     board = StoredBoard(library, memory)
     assert [board.value(name) for name in ("HIL_MODE", "HIL_OUTPUTS", "SLEW_US_S")] == [0.0, 0.0, 4321.0]
+
+
+def test_at_power_on_thrusters_are_neutral_and_ankles_in_the_middle_of_their_own_limits(
+    library: ctypes.CDLL, keyed: bytes
+) -> None:
+    at, low_us = VALUES_AT + 4 * PARAMETERS.index["ANK_MAX_US"], PARAMETERS["ANK_MIN_US"]
+    board = StoredBoard(library, rewritten(keyed, at, struct.pack("<f", 1801.0)))
+    assert board.pulses == (*[1500] * 4, *[int(low_us + 1801.0) // 2] * 4)

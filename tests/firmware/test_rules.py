@@ -132,6 +132,7 @@ def test_of_more_texts_than_find_room_the_newest_are_kept(library: ctypes.CDLL) 
     board.arm(True, 0)
     texts = [text for _, text in board.texts()]
     assert texts == ["not armed: no override is arriving"] * 3 + ["armed", "disarmed", "armed"]
+    assert board.state()[:3] == (True, 0, 0) and [board.value(name) for name in PARAMETERS.index] == list(PARAMETERS.values)
 
 
 PUSHING = {  # changes that are taken, and the one after them that would have a disarmed board push

@@ -121,7 +121,7 @@ def test_an_accelerometer_that_measures_nothing_is_in_doubt() -> None:
 
 
 def test_a_right_accelerometer_passes_with_offset_and_scale_in_waves_and_with_leaps() -> None:
-    """0.08 g of offset and 3 % of scale, as an MPU-6050 may have; 15 degrees of swing; 1 m/s^2 of waves; one that leaps."""
+    """0.08 g of offset and 3 % of scale, as an MPU-6050 may have; 15 degrees of swing; 1 m/s^2 of waves; leaps."""
 
     def force(k: int) -> tuple[float, float, float]:
         x, y, z = leaning(0.26 * math.sin(0.1 * k))
