@@ -103,6 +103,7 @@ def _observer(vehicle: Vehicle) -> list[tuple[str, str, str]]:
     noise, largest_mps = kalman.vehicle_noise(vehicle), vehicle.limits.speed_mps
     hand_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
     shares = f"{100.0 * kalman.SHARE:g} %; {100.0 * kalman.LASTING_SHARE:g} %"
+    ratios = f"{100.0 * kalman.DRAG_LOG:g} %; {100.0 * kalman.MASS_LOG:g} %"
     return [
         ("idle force that lasts, surge", "hypot(2 x 6 % of the idle thrust, rounding) / m", f"{noise.idle_mps2:.1e} m/s^2"),
         ("the same, yaw", "the same force x arm / I", f"{noise.idle_radps2:.1e} rad/s^2"),
@@ -113,10 +114,7 @@ def _observer(vehicle: Vehicle) -> list[tuple[str, str, str]]:
         ("force that comes and goes; that lasts", f"of thrust and drag, for {noise.passes_s:g}; {noise.lasts_s:g} s", shares),
         ("hand on a robot without thrust", f"largest thrust / m, for {kalman.HAND_S:g} s", f"{hand_mps2:.2g} m/s^2"),
         ("current at first, standard deviation", "half of the greatest speed", f"{0.5 * min(largest_mps, 1.0):.2f} m/s"),
-        (
-            "ln drag; ln mass at first, correlated", "from the vehicle file's",
-            f"{kalman.DRAG_LOG:g}; {kalman.MASS_LOG:g}; correlation {kalman.ALIKE:g}",
-        ),
+        ("drag; mass at first", f"relative to the vehicle file, correlation {kalman.ALIKE:g}", ratios),
     ]  # fmt: skip
 
 

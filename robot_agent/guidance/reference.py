@@ -82,6 +82,11 @@ class Drive:
 Goal = Follow | Hold | Drive
 
 
+def is_other_goal(before: Goal | None, goal: Goal) -> bool:
+    """True if what a robot does changes: goals of one kind follow one another, but each HOLD has a place of its own."""
+    return type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal)
+
+
 class Reference(NamedTuple):
     """Reference at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
 

@@ -35,7 +35,7 @@ from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundin
 from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weights, make_memory, step_plan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle, is_inside
-from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
+from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate, is_other_goal
 from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model, flow_moment_nm
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
@@ -179,8 +179,7 @@ class NonlinearController:
     def _take_up(self, goal: Goal, estimate: Observation) -> None:
         """Begin a plan anew at a goal of another kind, and when the estimate has leapt."""
         before, self.goal = self.goal, goal
-        is_other = type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal)
-        if is_other:
+        if is_other_goal(before, goal):
             self._place = None
             self._give_way.reset()
         if before is None or estimate.leap:
@@ -328,15 +327,17 @@ class NonlinearController:
 
     def _told(self, estimate: Observation, lead: Reference) -> tuple[Array, Array]:
         """The plan that is flown, from now on, and where it is meant to be; the reference has the plan's heading."""
-        state, count = self._planner.flight.state, len(self._told_rows)
-        rows = np.empty((len(state) + 2, 4))
-        rows[0], rows[1] = estimate.eta, estimate.action[:4]
-        rows[2:, :2], rows[2:, 3], rows[2:, 2] = state[:, :2], state[:, 2], self._depth.flight.state[:, 0]
-        poses, reference = np.empty((count, 4)), np.empty((count, 4))
-        interpolate_rows(rows, self._told_rows, poses)
-        interpolate_rows(lead.eta, self._told_rows, reference)
+        poses = self._told_poses(estimate, self._planner.flight.state, self._depth.flight.state[:, 0])
+        reference = interpolate(lead.eta, self._told_rows)
         reference[:, 3] = poses[:, 3]
         return poses, reference
+
+    def _told_poses(self, estimate: Observation, state: Array, depth_m: Array | float) -> Array:
+        """Poses now, at the instant of action, and of a flight (nodes, 9) with its depths, at the instants that are told."""
+        rows = np.empty((len(state) + 2, 4))
+        rows[0], rows[1] = estimate.eta, estimate.action[:4]
+        rows[2:, :2], rows[2:, 3], rows[2:, 2] = state[:, :2], state[:, 2], depth_m
+        return interpolate(rows, self._told_rows)
 
     def _neutral(self, estimate: Observation | None, now_ns: int) -> ControlOutput:
         """Output with thrusters off. The plan is forgotten; neighbours are told where the robot drifts."""
@@ -355,13 +356,7 @@ class NonlinearController:
         """Poses of a robot without thrust, as they are told."""
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._still, self._axes)
         fly(dynamics, self._grid, start, self._drift)
-        state = self._drift.state
-        rows = np.empty((len(state) + 2, 4))
-        rows[:], rows[1] = estimate.eta, estimate.action[:4]
-        rows[2:, :2], rows[2:, 3] = state[:, :2], state[:, 2]
-        poses = np.empty((len(self._told_rows), 4))
-        interpolate_rows(rows, self._told_rows, poses)
-        return poses
+        return self._told_poses(estimate, self._drift.state, estimate.eta.item(2))
 
 
 def clear_place(pose: Array, surrounds: Surrounds, margin_m: float) -> Array:
