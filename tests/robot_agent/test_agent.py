@@ -59,10 +59,10 @@ def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pyte
 
 
 def test_a_trajectory_is_judged_beside_the_steps_and_not_again_in_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    agent, inputs, now_ns = flying()
-    path = first_segment(POOL).trajectories[1]
+    agent, inputs, now_ns = next(rehearse(POOL, 1))
+    path, hash_ = first_segment(POOL).trajectories[1], agent.step(inputs, now_ns).state.experiment_hash
     away = replace(path, eta=path.eta + 9.0)
-    loads = [Command(Order.LOAD, 1, experiment_hash=POOL.hash, trajectory_id=it.id, trajectory=it) for it in (path, away)]
+    loads = [Command(Order.LOAD, 1, experiment_hash=hash_, trajectory_id=it.id, trajectory=it) for it in (path, away)]
     prepared = [agent.prepare(load) for load in loads]
     assert prepared == ["", "trajectory.eta leaves the pool at 0.00 s"]
     monkeypatch.setattr(TrajectoryClock, "flaw", lambda *_: pytest.fail("judged again while a step waits"))
@@ -70,7 +70,7 @@ def test_a_trajectory_is_judged_beside_the_steps_and_not_again_in_their_turn(mon
         agent.handle_command(Header(STATION, 1000 + k, now_ns), load, inputs.station, now_ns, prepared[k])
         for k, load in enumerate(loads)
     ]
-    assert [reply.accepted for reply in replies] == [True, False]
+    assert [reply.reason for reply in replies] == ["", prepared[1]]
 
 
 def test_an_invalid_step_keeps_the_goal_of_the_step_before_and_the_shape_of_its_wrenches(

@@ -670,5 +670,5 @@ def test_a_log_whose_end_the_disk_does_not_take_is_told_and_no_success(
     stop.request()
     bus = Bus(MemoryTransport(MemoryHub()))
     assert not run_steps(process.cycles(experiment, dump_experiment(experiment), bus, tmp_path, automatic=False, stop=stop))
-    told = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
-    assert told == ["recorder: log stopped: No space left on device (errno 28)"]
+    lines = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
+    assert lines == ["recorder: log stopped: No space left on device (errno 28)"]
