@@ -54,7 +54,7 @@ class SessionClocks:
         return min(near) if near else round(median(windows.values()))
 
     def _windows(self, session: int, of_log: bool) -> dict[int, int]:
-        """Windows of a clock's quickest messages. Lines of a log go by what else their sender says: those of before the
+        """Quickest messages of a clock, by window. Lines of a log go by what else their sender says: those of before the
         run come late, from its cache."""
         own, others = (self._quickest_ns.get((session, own), {}) for own in (of_log, False))
         return others if others and (session not in self._localizers or _is_alike(others)) else own

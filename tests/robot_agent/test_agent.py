@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.planning.segment import first_segment
 from robot_agent.agent import Agent
+from robot_agent.guidance.trajectory_clock import TrajectoryClock
 from robot_agent.inputs import Inputs
-from robot_agent.preflight.rehearsal import ARM_AFTER, rehearse
+from robot_agent.preflight.rehearsal import ARM_AFTER, STATION, rehearse
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Control, Mode, Solve, is_finite, required
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Control, Mode, Order, Solve, is_finite, required
 
 NEUTRAL_US = (1500,) * 4
 POOL = load_experiment("pool")
@@ -53,6 +56,21 @@ def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pyte
     monkeypatch.undo()
     outputs = agent.step(inputs, now_ns + 50_000_000)
     assert (outputs.state.mode, outputs.state.fault) == (Mode.FAULT, "no control solution")
+
+
+def test_a_trajectory_is_judged_beside_the_steps_and_not_again_in_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent, inputs, now_ns = next(rehearse(POOL, 1))
+    path, hash_ = first_segment(POOL).trajectories[1], agent.step(inputs, now_ns).state.experiment_hash
+    away = replace(path, eta=path.eta + 9.0)
+    loads = [Command(Order.LOAD, 1, experiment_hash=hash_, trajectory_id=it.id, trajectory=it) for it in (path, away)]
+    prepared = [agent.prepare(load) for load in loads]
+    assert prepared == ["", "trajectory.eta leaves the pool at 0.00 s"]
+    monkeypatch.setattr(TrajectoryClock, "flaw", lambda *_: pytest.fail("judged again while a step waits"))
+    replies = [
+        agent.handle_command(Header(STATION, 1000 + k, now_ns), load, inputs.station, now_ns, prepared[k])
+        for k, load in enumerate(loads)
+    ]
+    assert [reply.reason for reply in replies] == ["", prepared[1]]
 
 
 def test_an_invalid_step_keeps_the_goal_of_the_step_before_and_the_shape_of_its_wrenches(

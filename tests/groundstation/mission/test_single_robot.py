@@ -214,8 +214,9 @@ def test_a_robot_of_unknown_place_is_not_taken_to_be_in_the_pools_middle() -> No
     for order in (Order.ARM, Order.HOLD):
         assert run.ask(order) == ""
         run.step(0.2)
-    placed, unplaced = run.fleet()[1], replace(required(run.fleet()[1].state), estimate=None)
-    for view in (RobotView(), replace(placed, state=unplaced, pose=None)):
+    view_of_1 = run.fleet()[1]
+    lost = replace(view_of_1, state=replace(required(view_of_1.state), estimate=None), pose=None)
+    for view in (RobotView(), lost):
         fleet = run.fleet() | {1: view}
         assert run.single.request(Order.GO, 2, fleet, run.now_ns, (0.0, 0.0)) == ""
         assert run.mission.plans.monitor.discs_to_avoid([view]).shape == (0, 3)

@@ -1,5 +1,6 @@
 """The station takes stops and replies at once, drops outdated plans, and ends only when every robot is at rest."""
 
+import errno
 import logging
 import threading
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from groundstation.formation_clock import named_alone
 from groundstation.logs.recorder import Recorder
@@ -677,3 +679,18 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
         stop.request()
         thread.join()
     assert min(gaps_s) < 0.5 * PERIOD_S, gaps_s
+
+
+def test_a_log_whose_end_the_disk_does_not_take_is_told_and_no_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def finish(_: Writer) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Writer, "finish", finish)
+    experiment, stop = load_experiment("pool"), Stop(install=False)
+    stop.request()
+    bus = Bus(MemoryTransport(MemoryHub()))
+    assert not run_steps(process.cycles(experiment, dump_experiment(experiment), bus, tmp_path, automatic=False, stop=stop))
+    lines = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
+    assert lines == ["recorder: log stopped: No space left on device (errno 28)"]
