@@ -60,7 +60,11 @@ def write(folder: Path) -> bool:
     replace_text(folder / "comparison.html", _render(comparison, failed))
     console = terminal()
     console.width = max(console.width, 110)  # a table that wraps cannot be read
-    for title, caption, columns in ((_title(comparison), None, slice(0, 5)), ("", CAPTION, slice(5, 10)), ("", None, slice(10, None))):
+    for title, caption, columns in (
+        (_title(comparison), None, slice(0, 5)),
+        ("", CAPTION, slice(5, 10)),
+        ("", None, slice(10, None)),
+    ):
         console.print(_table(comparison, title, caption, columns))
     console.print(_method(comparison), highlight=False, soft_wrap=True)
     for line in failed:
@@ -92,7 +96,7 @@ def _title(comparison: Comparison) -> str:
 
 
 def _method(comparison: Comparison) -> str:
-    """What a paper has to say about the figures: intervals, times and code."""
+    """Intervals, times and code behind the figures, as a paper states them."""
     return f"{INTERVALS}; control steps in processor time of this machine; commit {comparison.commit}"
 
 

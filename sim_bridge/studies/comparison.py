@@ -12,7 +12,15 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightRecord, Variant, flight_figures, flight_traces, step_times
+from groundstation.analysis.comparison import (
+    SETTLED_S,
+    Comparison,
+    FlightRecord,
+    Variant,
+    flight_figures,
+    flight_traces,
+    step_times,
+)
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError

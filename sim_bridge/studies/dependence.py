@@ -64,7 +64,9 @@ def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Seq
         kept = [row for row in members if not row.get("at_fault")]
         pairs = [(row, twins.get((values[0], *(str(row[name]) for name in others)))) for row in kept]
         points = {m: [unit_of(m)[1] * row[m] for row in kept if row.get(m) is not None] for m in measures}
-        apart = {m: [unit_of(m)[1] * (a[m] - b[m]) for a, b in pairs if b and None not in (a.get(m), b.get(m))] for m in measures}
+        apart = {
+            m: [unit_of(m)[1] * (a[m] - b[m]) for a, b in pairs if b and None not in (a.get(m), b.get(m))] for m in measures
+        }
         lines.append(
             KeyValue(
                 value,
