@@ -55,9 +55,7 @@ JOIN_WITHIN_S = 3.5  # for a robot to begin to fly with the others, who fly alre
 TEST_PATIENCE_S = 12.0  # for the thruster test of all robots
 SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going on
 AT_REST_MPS = 0.03  # slower than this counts as at rest
-REST_WITHIN_S = (
-    8.0  # then a hold counts as done, and planning begins, all the same: robots that hold against waves never quite rest
-)
+REST_WITHIN_S = 8.0  # then a hold is done, and planning begins, all the same: robots in waves never quite rest
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
 ATTENDED = "a person attends, and has to start it"  # an automatic mission, once somebody has taken a hand in it

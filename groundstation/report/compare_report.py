@@ -96,7 +96,7 @@ def _title(comparison: Comparison) -> str:
 
 
 def _method(comparison: Comparison) -> str:
-    """Statement for a paper about the figures: intervals, times and code."""
+    """Intervals, times and code behind the figures, as a paper states them."""
     return f"{INTERVALS}; control steps in processor time of this machine; commit {comparison.commit}"
 
 

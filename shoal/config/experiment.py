@@ -385,6 +385,16 @@ def with_flight(experiment: Experiment, text: str) -> Experiment:
     return check(Experiment, table, str(name))
 
 
+def dump_flight(experiment: Experiment) -> str:
+    """The flight of an experiment as TOML, as `with_flight` takes it: small enough for a message."""
+    table = experiment.model_dump(
+        mode="json", exclude_none=True, include={"name", "duration_s", "path", "formation", "robots"}
+    )
+    kept = ("id", "node_m", "path")
+    table["robots"] = [{key: robot[key] for key in kept if key in robot} for robot in table["robots"]]
+    return tomli_w.dumps(table)
+
+
 def _with_other_places(name: Any, robots: list[dict[str, Any]], others: Any) -> list[dict[str, Any]]:
     """Robots with the places, and paths of their own, of those with the same ids in another experiment; without any if it
     names no robots."""

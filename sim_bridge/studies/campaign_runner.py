@@ -157,7 +157,7 @@ def _write(
 
 
 def _method(campaign: Campaign, rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Statement for a paper about the figures: seeds, intervals, code, and what a control step takes."""
+    """Lines on seeds, intervals, code and control steps behind the figures, as a paper states them."""
     first, last = campaign.end_seeds
     commits = ", ".join(sorted({str(row["commit"]) for row in rows}))
     yield f"n = {len(rows)} flights, seeds {first} to {last}; 95 % bootstrap intervals; commit {commits or code().commit}"

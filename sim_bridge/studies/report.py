@@ -44,7 +44,8 @@ def write_report(
 def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Sequence[KeyValue]], wanted: int) -> dict[str, Any]:
     """Values for the campaign's page template."""
     flown = [row for row in rows if row["status"] == "flown"]
-    values = {name: [row[name] for row in flown if row.get(name) is not None] for name in MEASURES}
+    pooled = [] if by_key else flown  # flights of a sweep are not of one kind
+    values = {name: [row[name] for row in pooled if row.get(name) is not None] for name in MEASURES}
     shown = shown_measures(flown)
     main = shown[0]
     ranked = sorted((row for row in flown if row[main] is not None), key=lambda row: -row[main])
@@ -52,14 +53,9 @@ def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Seque
         "campaign": campaign,
         "title": campaign.title or f"Campaign {campaign.name}",
         "facts": _facts(campaign, rows, flown, wanted),
-        # of a sweep it would pool flights that are not of a kind
-        "summary": [
-            (name, MEASURES[name], distribution(numbers)) for name, numbers in values.items() if numbers and not by_key
-        ],
+        "summary": [(name, MEASURES[name], distribution(numbers)) for name, numbers in values.items() if numbers],
         "histograms": [
-            (_histogram(numbers, name), MEASURES[name])
-            for name, numbers in values.items()
-            if len(set(numbers)) > 1 and not by_key
+            (_histogram(numbers, name), MEASURES[name]) for name, numbers in values.items() if len(set(numbers)) > 1
         ],
         "groups": [(key, lines, _against(key, lines, shown)) for key, lines in by_key.items()],
         "scatters": [
