@@ -1,6 +1,7 @@
 """Another form forms for on the page, places that are typed, several robots, one clock, and what stays in its place."""
 
 import re
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,8 @@ from shoal.runtime.runtime import Clock
 from tests.page.elements import button, tile
 from tests.page.lone_station import LoneStation, lone_station
 
+MAP = "document.querySelector('.pool canvas').toDataURL()"
+
 
 @pytest.fixture(scope="module")
 def experiment() -> Experiment:
@@ -36,17 +39,20 @@ def desk(browser: Browser, experiment: Experiment) -> Iterator[LoneStation]:
 
 
 def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStation, experiment: Experiment) -> None:
-    forms: list[str] = []
+    forms, goes_on = list[str](), threading.Event()
 
-    def plan(order: Order, form: str) -> PlanSegment:
-        forms.append(form)
-        if form.startswith("column"):
+    def plan(order: Order, text: str) -> PlanSegment:
+        forms.append(text)
+        if text.startswith("column"):
             raise PlanError("robot 3: 0.260 m beyond the wall's clearance in y")
+        if text == "line 1.2":
+            goes_on.wait(20.0)
         return first_segment(experiment)
 
     desk.draft = plan  # type: ignore[method-assign]
     page = desk.page
     button(page, "Formation…").click()
+    map_before = page.evaluate(MAP)
     page.get_by_label("Shape of the formation").select_option("column")
     expect(page.get_by_text("beyond the wall's clearance")).to_be_visible()
     expect(button(page, "Fly this form")).to_be_disabled()
@@ -54,6 +60,12 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     page.get_by_label("spacing, m").fill("1.1")
     expect(page.get_by_text(re.compile("can be flown"))).to_be_visible()
     assert forms[-1] == "line 1.1" and desk.orders == []
+    page.wait_for_function(f"(before) => {MAP} !== before", arg=map_before)  # the plan is drawn
+    page.get_by_label("spacing, m").fill("1.2")  # what was said of another form is no answer to this one
+    expect(page.get_by_text("asking the planner")).to_be_visible()
+    expect(button(page, "Fly this form")).to_be_disabled()
+    page.get_by_label("spacing, m").fill("1.1")
+    goes_on.set()
     button(page, "Fly this form").click()
     expect(page.locator(".given")).to_contain_text("formation line 1.1 sent")
     assert desk.orders == [Order.FORMATION] and desk.text == "line 1.1"
@@ -126,7 +138,7 @@ def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, 
     expect(panel).to_be_visible()
     panel.get_by_role("button", name="Hold 2").click()
     expect(page.locator(".given li")).to_have_count(2)
-    assert desk.orders == [Order.HOLD, Order.HOLD]
+    assert desk.orders == [Order.HOLD, Order.HOLD] and sorted(desk.robots_asked) == sorted([one, two])
 
 
 def test_time_is_that_of_the_flight_and_negative_before_it(desk: LoneStation) -> None:
