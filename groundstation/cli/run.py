@@ -10,7 +10,7 @@ import typer
 from groundstation.cli.foxglove import Foxglove, address
 from groundstation.cli.replay import show
 from groundstation.gate.gate import Gate
-from shoal.config.experiment import Experiment, dump_experiment, load_experiment
+from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
@@ -109,19 +109,8 @@ def run(
             raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
         with Bus(ZenohTransport(where, stop, gate=Gate), fleet) as bus, announced(where, fleet, loaded.name, bus):
             bus.claim(me, stop)
-            station = process.cycles(
-                loaded,
-                dump_experiment(loaded),
-                bus,
-                folder,
-                automatic=auto,
-                stop=stop,
-                give_up_s=give_up,
-                web=page,
-                insecure=where.insecure,
-                viewer=viewer,
-            )
-            return run_steps(station)
+            options = process.StationOptions(auto, give_up, page, viewer, where.insecure)
+            return run_steps(process.cycles(loaded, bus, folder, options, stop))
 
     again = True
     while again:

@@ -6,6 +6,7 @@ A cycle a control period, at once after a request that cannot wait; or when an o
 import contextlib
 import time
 from collections.abc import Callable, Generator, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer, bind
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus
-from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages import topics
 from shoal.messages.topics import WHOLE_FLEET
@@ -56,26 +57,26 @@ def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
     )
 
 
+@dataclass(frozen=True)
+class StationOptions:
+    """How a person wants the station to run."""
+
+    automatic: bool = False  # the mission starts by itself, once all is fit
+    give_up_s: float | None = None  # time without progress after which an automatic mission fails
+    web: WebOptions | None = None  # the operator's page
+    viewer: tuple[str, int] | None = None  # where Foxglove-family viewers are served
+    insecure: bool = False  # the bus is open to everybody, and the station says so
+
+
 def cycles(
-    experiment: Experiment,
-    experiment_toml: str,
-    bus: Bus,
-    run_dir: Path,
-    *,
-    automatic: bool,
-    stop: Stop,
-    give_up_s: float | None = None,
-    web: WebOptions | None = None,
-    insecure: bool = False,
-    viewer: tuple[str, int] | None = None,
-    owner: TimeOwner | None = None,
+    experiment: Experiment, bus: Bus, run_dir: Path, options: StationOptions, stop: Stop, owner: TimeOwner | None = None
 ) -> Generator[None, None, bool]:
-    """The station until its run is over (EndOfRun) or it is told to stop; `give_up_s` is the time without progress after
-    which an automatic mission fails, `viewer` is where Foxglove-family viewers are served. Makes `run_dir`. Returns whether
-    the mission succeeded.
+    """The station until its run is over (EndOfRun) or it is told to stop. Makes `run_dir`. Returns whether the mission
+    succeeded.
 
     With an `owner` of the time yields when the station is present, and after each cycle; `next` waits for the next instant.
     """
+    experiment_toml = dump_experiment(experiment)
     clock: Clock = owner.clock if owner is not None else WallClock()
     segment = first_segment(experiment)
     trajectories = dict(segment.trajectories)
@@ -86,9 +87,9 @@ def cycles(
     check_room(run_dir, experiment.recording.min_free_gb)
     # The router listens, the plan stands, page and viewers have their ports: a start that fails leaves no folder.
     with contextlib.ExitStack() as served:
-        page = served.enter_context(bind(web)) if web is not None else None
-        if viewer is not None:
-            served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
+        page = served.enter_context(bind(options.web)) if options.web is not None else None
+        if options.viewer is not None:
+            served.enter_context(ViewerServer(experiment, bus, clock, *options.viewer))
         with os_errors_as_config_errors(run_dir):
             run_dir.mkdir(parents=True, exist_ok=True)
             _write_experiment(run_dir / "experiment.toml", experiment, experiment_toml)
@@ -97,25 +98,25 @@ def cycles(
         served.callback(recorder.close)
         record_everything(bus, recorder, clock)
         threads = served.enter_context(workers(len(trajectories)))
-        mission = Mission(experiment, segment, starts, automatic, give_up_s)
+        mission = Mission(experiment, segment, starts, options.automatic, options.give_up_s)
         inboxes, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
         laps = LapStatistics(tuner.lap_s)
-        station = Station(experiment, bus, clock, recorder, mission, tuner, laps, inboxes, threads, insecure=insecure)
+        station = Station(experiment, bus, clock, recorder, mission, tuner, laps, inboxes, threads, insecure=options.insecure)
         station.views = station.fleet()
         bus.serve(WHOLE_FLEET, station.on_operator_command)
         log_to_bus(bus, clock, "groundstation")
         log.info("%s", code())
-        if insecure:
+        if options.insecure:
             log.warning(INSECURE)  # once more: now the recorder has it
         station.publish_paths(clock.now_ns())
         bus.watch_presence()
         server = None
-        if web is not None:
+        if options.web is not None:
             backend = LiveBackend(experiment, trajectories, bus, inboxes, clock, station, mode, run_dir.resolve())
-            server = served.enter_context(WebServer(backend, web, page))
-            log.info("operator page: %s", web.url)
-        if viewer is not None:
-            log.info("viewers: ws://%s:%d", *viewer)
+            server = served.enter_context(WebServer(backend, options.web, page))
+            log.info("operator page: %s", options.web.url)
+        if options.viewer is not None:
+            log.info("viewers: ws://%s:%d", *options.viewer)
         instants = owner.instants(station) if owner is not None else None
         bus.announce("groundstation")
         started_s = time.monotonic()

@@ -23,7 +23,7 @@ from groundstation.station import process as station_process
 from shoal.bus.bus import Bus, Decode
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.transport import Answer, Urgent
-from shoal.config.experiment import Experiment, dump_experiment
+from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
@@ -293,18 +293,9 @@ class Executor:
             PoolNode(experiment, pool.bus, ports, self.stop, True, self._poses, pace=self._pace).run()
 
     def _cycles(self, bus: Bus, automatic: bool, web: WebOptions | None) -> Generator[None, None, bool]:
-        text = dump_experiment(self._experiment)
-        return station_process.cycles(
-            self._experiment,
-            text,
-            bus,
-            self._run_dir,
-            automatic=automatic,
-            stop=self.stop,
-            give_up_s=GIVE_UP_S,
-            web=web,
-            owner=simulated_time(bus, self.stop),
-        )
+        options = station_process.StationOptions(automatic, GIVE_UP_S, web)
+        owner = simulated_time(bus, self.stop)
+        return station_process.cycles(self._experiment, bus, self._run_dir, options, self.stop, owner)
 
     def _localizer(self, bus: Bus, camera: str) -> Generator[None]:
         if self._experiment.cameras and not camera:

@@ -45,7 +45,6 @@ def station(
     from shoal.bus.bus import Bus
     from shoal.bus.network import endpoint
     from shoal.bus.zenoh_transport import ZenohTransport
-    from shoal.config.experiment import dump_experiment
     from shoal.messages.topics import Role, process_name
     from shoal.runtime.web_access import web_options
     from sim_bridge.lockstep.station import simulated_time
@@ -56,19 +55,8 @@ def station(
     where = endpoint(listen, me, keys, router=True, lossless=True)
     with Bus(ZenohTransport(where, stop, gate=Gate)) as bus, announced(where, DEFAULT_FLEET, loaded.name, bus):
         bus.claim(me, stop)
-        succeeded = run_steps(
-            process.cycles(
-                loaded,
-                dump_experiment(loaded),
-                bus,
-                run_dir,
-                automatic=auto,
-                stop=stop,
-                give_up_s=give_up,
-                web=page,
-                owner=simulated_time(bus, stop),
-            )
-        )
+        options = process.StationOptions(auto, give_up, page)
+        succeeded = run_steps(process.cycles(loaded, bus, run_dir, options, stop, simulated_time(bus, stop)))
     raise typer.Exit(0 if succeeded else 1)
 
 

@@ -20,7 +20,7 @@ from groundstation.station import process as station_process
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.transport import Answer, Deliver, Presence, Urgent
-from shoal.config.experiment import Experiment, dump_experiment
+from shoal.config.experiment import Experiment
 from shoal.mavlink.board_port import UdpLink
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
@@ -139,7 +139,6 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
     hub, record, stop = MemoryHub(), OnLocalized(), Stop(install=False)
     handlers = log.handlers[:]
     folder.mkdir()
-    toml = dump_experiment(experiment)
     with ExitStack() as closing:
 
         def bus(process: str) -> Bus:
@@ -165,7 +164,8 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
                 thread.start()
             station_bus = bus("groundstation")
             owner = simulated_time(station_bus, stop)
-            run_steps(station_process.cycles(experiment, toml, station_bus, folder, automatic=True, stop=stop, owner=owner))
+            options = station_process.StationOptions(automatic=True)
+            run_steps(station_process.cycles(experiment, station_bus, folder, options, stop, owner))
         finally:
             stop.request()
             for thread in threads:

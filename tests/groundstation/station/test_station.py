@@ -32,7 +32,7 @@ from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
 from shoal.bus.bus import Bus, Inbox
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
-from shoal.config.experiment import Experiment, dump_experiment, load_experiment
+from shoal.config.experiment import Experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
@@ -674,7 +674,7 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
     hub, stop = MemoryHub(), Stop(install=False)
     bus, person = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     beats = person.inbox(topics.HEARTBEAT, StationHeartbeat)
-    station = process.cycles(experiment, dump_experiment(experiment), bus, tmp_path, automatic=False, stop=stop)
+    station = process.cycles(experiment, bus, tmp_path, process.StationOptions(), stop)
     thread = threading.Thread(target=run_steps, args=(station,))
     thread.start()
     gaps_s = []
@@ -702,6 +702,6 @@ def test_a_log_whose_end_the_disk_does_not_take_is_told_and_no_success(
     experiment, stop = load_experiment("pool"), Stop(install=False)
     stop.request()
     bus = Bus(MemoryTransport(MemoryHub()))
-    assert not run_steps(process.cycles(experiment, dump_experiment(experiment), bus, tmp_path, automatic=False, stop=stop))
+    assert not run_steps(process.cycles(experiment, bus, tmp_path, process.StationOptions(), stop))
     lines = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
     assert lines == ["recorder: log stopped: No space left on device (errno 28)"]
