@@ -5,7 +5,7 @@ once, and lasts by the plant's time. Faults of processes are applied by sim_brid
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,31 @@ class LinkFaults:
     cut: bool = False
     loss: float = 0.0  # fraction lost; the same fraction is duplicated, and the same is overtaken by later datagrams
     delay_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class ImuFaults:
+    """Effect of the faults on a board's gyroscope, accelerometer and heading."""
+
+    heading_rad: float = 0.0  # errors
+    rate_radps: float = 0.0
+    rate_share: float = 1.0  # of the true rate, that it measures
+    is_stuck: bool = False  # rate and force stay what they were
+    turned_rad: float = 0.0  # about the body's axis ahead
+
+    def with_effect(self, broken: Break) -> "ImuFaults":
+        """These faults and one more."""
+        match broken.effect:
+            case "heading":
+                return replace(self, heading_rad=self.heading_rad + broken.value)
+            case "gyro":
+                return replace(self, rate_radps=self.rate_radps + broken.value)
+            case "scaled":
+                return replace(self, rate_share=self.rate_share * broken.value)
+            case "turned":
+                return replace(self, turned_rad=self.turned_rad + broken.value)
+            case _:
+                return replace(self, is_stuck=True)
 
 
 class FaultSchedule:
@@ -113,9 +138,9 @@ class FaultSchedule:
         for i, b in self._of("battery"):
             sag_v[i] += b.value
         self.actuators = ActuatorFaults(thrust, sag_v)
-        self.imu_error = np.zeros((n, 2))  # heading rad, yaw rate rad/s
+        self.imu = [ImuFaults()] * n
         for i, b in self._of("imu"):
-            self.imu_error[i, ("heading", "gyro").index(b.effect)] += b.value
+            self.imu[i] = self.imu[i].with_effect(b)
         self.unmarked = frozenset(i for i, _ in self._of("marker"))
         self.camera = tuple(b for _, b in self._of("camera"))
         water = [b for _, b in self._of("water")]

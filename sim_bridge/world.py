@@ -123,8 +123,8 @@ class World:
         if self.faults.gust_mps != self._gust_mps:
             self._gust_mps = self.faults.gust_mps
             self._plant.stream(self._current_mps + np.array([self._gust_mps, 0.0, 0.0]))
-        for board, error in zip(self.boards, self.faults.imu_error.tolist() if changes else (), strict=False):
-            board.sensors.error = (error[0], error[1])
+        for board, faults in zip(self.boards, self.faults.imu if changes else (), strict=False):
+            board.sensors.faults = faults
         return changes
 
     def break_by_hand(self, what: str, for_s: float) -> str:

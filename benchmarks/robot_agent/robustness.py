@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.flights import flown
 from benchmarks.harness import Row
 from groundstation.analysis.comparison import wrenches
 from shoal.config.experiment import load_experiment
+from tests.flights.scene_flights import flown
 
 BENCHMARK = "robustness"
 SEEDS = (1, 2, 3)

@@ -408,7 +408,7 @@ def hops_of(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Arr
     known."""
     unknown = np.full(len(HOPS), np.nan)
     timing = state.message.timing
-    if inputs is None or inputs.pose is None or timing.exposure_to_pwm_ms <= 0.0:
+    if inputs is None or inputs.pose is None or timing.exposure_to_pwm_ms is None or timing.pose_age_ms is None:
         return unknown
     told_ms = inputs.pose_told_age_ns * 1e-6
     age_ms = (state.stamp_ns - state.shift_ns - inputs.pose_instant_ns) * 1e-6  # both on the robot's own clock

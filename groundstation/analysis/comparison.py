@@ -8,7 +8,8 @@ magnitude and rate were limited. Changes of inputs are shares of the largest tha
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -59,12 +60,22 @@ class Traces:
 
 
 @dataclass(frozen=True)
+class StepTimes:
+    """Processor time of the control steps of a flight, in µs: estimate, plan and allocation."""
+
+    median: float
+    p99: float
+    most: float
+
+
+@dataclass(frozen=True)
 class FlightRecord:
     """One variant on one seed."""
 
     seed: int
     figures: FlightMetrics
     traces: Traces | None = None  # of the first seed
+    step_us: StepTimes | None = field(default=None, compare=False)  # the machine's, so no two flights have the same
 
 
 @dataclass(frozen=True)
@@ -106,10 +117,25 @@ class Comparison:
 
 
 def _flight(table: dict[str, object]) -> FlightRecord:
-    figures, traces = table["figures"], table["traces"]
-    if not isinstance(figures, dict) or not isinstance(traces, dict | None):
-        raise TypeError("figures and traces must be objects")
-    return FlightRecord(int(str(table["seed"])), FlightMetrics(**figures), Traces(**traces) if traces is not None else None)
+    figures, traces, step_us = table["figures"], table["traces"], table.get("step_us")
+    if not isinstance(figures, dict) or not isinstance(traces, dict | None) or not isinstance(step_us, dict | None):
+        raise TypeError("figures, traces and step_us must be objects")
+    return FlightRecord(
+        int(str(table["seed"])),
+        FlightMetrics(**figures),
+        Traces(**traces) if traces is not None else None,
+        StepTimes(**step_us) if step_us is not None else None,
+    )
+
+
+def step_times(states: Iterable[Sequence[RobotState]]) -> StepTimes | None:
+    """Times of all robots' control steps; None where none was measured."""
+    took_us = np.array([state.timing.step_us for each in states for state in each])
+    took_us = took_us[took_us > 0.0]
+    if not len(took_us):
+        return None
+    median, p99 = np.quantile(took_us, [0.5, 0.99]).tolist()
+    return StepTimes(median, p99, float(took_us.max()))
 
 
 def flight_figures(experiment: Experiment, states: list[list[RobotState]], truth: Array, error: Array) -> FlightMetrics:

@@ -70,7 +70,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
         control_step_us=_quantiles(step_us[step_us > 0.0]),
         pose_error_m=_spread(np.hypot(located[:, 0], located[:, 1])),
         pose_error_rad=_spread(np.abs(located[:, 2])),
-        exposure_to_pwm_ms=_quantiles(latency_ms[latency_ms > 0.0]),
+        exposure_to_pwm_ms=_quantiles(latency_ms[np.isfinite(latency_ms)]),
         dtau_rms=tuple(np.max(wear, axis=0).tolist()) if wear else None,
         dtau_rms_after_20s=tuple(np.max(settled_wear, axis=0).tolist()) if settled_wear else None,
         pulse_step_rms_us=max((r.pulse_step_rms_us or 0.0 for r in robots.values()), default=None) if wear else None,

@@ -70,6 +70,9 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
         {
             "heading": Effect("an error besides noise and bias", "error in rad", 0.5, -3.2, 3.2),
             "gyro": Effect("the same for the yaw rate", "error in rad/s", 0.1, -10.0, 10.0),
+            "scaled": Effect("the yaw rate is multiplied: 0 is dead, -1 reversed", "by how much", 0.0, -10.0, 10.0),
+            "stuck": Effect("yaw rate and acceleration stay at what they were"),
+            "turned": Effect("it is mounted otherwise, turned about the axis ahead", "rad", 1.6, -3.2, 3.2),
         },
     ),
     "battery": (

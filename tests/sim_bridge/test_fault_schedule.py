@@ -18,7 +18,7 @@ from shoal.messages.messages import Event
 from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.fault_schedule import FaultSchedule, LinkFaults, faults_after_the_end, require_kinds
+from sim_bridge.fault_schedule import FaultSchedule, ImuFaults, LinkFaults, faults_after_the_end, require_kinds
 from sim_bridge.in_process.resume import faults_by_hand
 from sim_bridge.node.board_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
@@ -87,9 +87,31 @@ def test_broken_imu_gives_its_faulty_samples() -> None:
     experiment = load_experiment("pool")
     still = np.zeros(4)
     whole, broken = (BoardSensors(experiment, 1, 1) for _ in range(2))
-    broken.error = (0.5, -0.1)
+    broken.faults = ImuFaults(0.5, -0.1)
     a, b = whole.read(still, still, still), broken.read(still, still, still)
     assert (b.heading_rad - a.heading_rad, b.yaw_rate_radps - a.yaw_rate_radps) == pytest.approx((0.5, -0.1))
+
+
+@pytest.mark.parametrize(
+    ("whats", "rate_radps", "force_mps2"),
+    [
+        (("imu 1 scaled",), 0.0, (0.0, 0.0, -9.81)),
+        (("imu 1 scaled -1", "imu 1 gyro 0.1"), -0.3, (0.0, 0.0, -9.81)),
+        (("imu 1 turned 3.1415926",), -0.4, (0.0, 0.0, 9.81)),
+        (("imu 1 turned 1.5707963",), 0.0, (0.0, -9.81, 0.0)),
+        (("imu 1 stuck",), 0.0, (0.0, 0.0, 0.0)),  # nothing was measured before
+    ],
+)
+def test_imu_faults_change_what_is_measured_of_a_turn(
+    whats: tuple[str, ...], rate_radps: float, force_mps2: tuple[float, float, float]
+) -> None:
+    experiment = load_experiment("pool", [], [f"t=0 {what}" for what in whats])
+    schedule, sensors, still = FaultSchedule(experiment), BoardSensors(experiment, 1, 1), np.zeros(4)
+    schedule.at(0.0)
+    sensors.faults = schedule.imu[0]
+    reading = sensors.read(still, np.array([0.0, 0.0, 0.0, 0.4]), still)
+    assert reading.yaw_rate_radps == pytest.approx(rate_radps, abs=0.02)
+    assert reading.acceleration_mps2 == pytest.approx(force_mps2, abs=0.1)
 
 
 # --- camera

@@ -22,7 +22,7 @@ from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.telemetry import RobotView
-from robot_agent.agent import begins_ns, unacceptable
+from robot_agent.agent import unacceptable
 from robot_agent.guidance.reference import pose_at
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
 from robot_agent.inputs import StationView
@@ -129,7 +129,7 @@ class SimulatedRobot:
         """Carry out a command, or refuse it, as robot_agent/agent.py does."""
         station = self.view_of_station(now_ns)
         reason = unacceptable(self.id, self._experiment.hash, Header(SESSION, 0, stamp_ns), command, station)
-        begin_ns = begins_ns(Header(SESSION, 0, stamp_ns), command)
+        begin_ns = command.start_ns
         reason = reason or refusal(command.order, self.mode)
         reason = reason or self.clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, self.eta)
         if not reason and command.order is Order.ARM and not self.board_works:

@@ -352,13 +352,13 @@ class Interruptions(RuleBasedStateMachine):
 
 @pytest.mark.long
 def test_any_order_of_requests_and_mishaps() -> None:
-    """Eighty examples at least, and more until they have led everywhere."""
+    """Fifty examples at least, and more until they have led everywhere."""
     Interruptions.arrivals.clear()
     never = list(MissionState)
-    for number in range(6):
+    for number in range(10):
         run_state_machine_as_test(
             seed(number)(Interruptions),
-            settings=settings(max_examples=40, stateful_step_count=40, deadline=None, derandomize=False, database=None),
+            settings=settings(max_examples=25, stateful_step_count=40, deadline=None, derandomize=False, database=None),
         )
         never = [state for state in MissionState if state not in Interruptions.arrivals]
         if number > 0 and not never:

@@ -1280,8 +1280,8 @@ def test_another_form_is_planned_in_flight_and_flown_once_all_have_it() -> None:
     run = MissionRun(settings=['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'])
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    assert "'trinagle': must read" in run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, form="trinagle 1")
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, form="line 1.0") == ""
+    assert "'trinagle': must read" in run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="trinagle 1")
+    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     assert run.at(MissionState.SWITCHING)
     request = run.mission.plan_request
     assert request is not None
@@ -1297,7 +1297,7 @@ def test_a_form_that_cannot_be_flown_leaves_the_formation_in_its_own() -> None:
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     before = run.mission.segment
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, form="line 1.0") == ""
+    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     run.mission.planned(PlanError("robot 1: too fast"), run.fleet(), run.now_ns)
     assert run.at(MissionState.RUNNING)
     assert run.mission.segment is before
@@ -1310,7 +1310,7 @@ def test_from_a_hold_another_form_is_planned_from_rest_and_then_flown() -> None:
         run.step()
     assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
     run.step(0.3)
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, form="line 1.0") == ""
+    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     run.step(0.3)
     assert run.at(MissionState.HALTING)
     assert run.mission.plan_request is not None and run.mission.plan_request.name == "from rest"

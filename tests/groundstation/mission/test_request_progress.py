@@ -8,7 +8,8 @@ import pytest
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainStage, GainStatus
-from groundstation.mission.request_progress import GOALS, KEPT, RequestTracker
+from groundstation.mission.mission import OTHER_FLIGHTS
+from groundstation.mission.request_progress import GOALS, KEPT, PLANNED_AT_REST, RequestTracker
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import TRANSITIONS, MissionState
 from groundstation.planning.feasibility import PlanError
@@ -60,7 +61,8 @@ def test_every_request_that_the_mission_takes_leads_somewhere() -> None:
     assert {row.cause for row in TRANSITIONS if isinstance(row.cause, Order)} | {Order.END} == set(GOALS)
     for row in TRANSITIONS:
         if isinstance(row.cause, Order):
-            assert row.to in GOALS[row.cause].through | GOALS[row.cause].to, row
+            goal = PLANNED_AT_REST if row.to is MissionState.WAITING and row.cause in OTHER_FLIGHTS else GOALS[row.cause]
+            assert row.to in goal.through | goal.to, row
 
 
 def test_a_request_is_done_when_every_robot_has_done_it() -> None:
@@ -75,6 +77,35 @@ def test_a_request_is_done_when_every_robot_has_done_it() -> None:
         lab.step(1.5)
         result = lab.outcome(number)
         assert (result.progress, result.confirmed, result.waiting) == (Progress.DONE, (1, 2), ()), order
+
+
+def test_hold_is_done_when_every_robot_rests_in_its_place_and_in_waves_after_a_while() -> None:
+    """A robot that holds still brakes from its speed, and comes back to its place: a script goes on when it has."""
+    lab = Asked()
+    lab.fly()
+    slow, fast = lab.run.robots.values()
+    fast.surge_mps = 0.19
+    number = lab.ask(Order.HOLD)
+    lab.step(1.0)
+    result = lab.outcome(number)
+    assert (result.progress, result.confirmed, result.waiting) == (Progress.UNDER_WAY, (1,), (2,))
+    assert result.why == ("is holding, not yet at rest",)
+    fast.surge_mps, fast.eta = 0.0, (0.1, 0.0, 0.0, 0.0)  # it turns round beside its place
+    lab.step(0.5)
+    assert lab.progress(number) is Progress.UNDER_WAY
+    fast.eta = (0.01, 0.0, 0.0, 0.0)
+    lab.step(0.1)
+    assert lab.progress(number) is Progress.DONE
+
+    slow.surge_mps = 0.05  # waves
+    resumed = lab.ask(Order.RESUME)
+    lab.step(2.0)
+    assert lab.progress(resumed) is Progress.DONE
+    again = lab.ask(Order.HOLD)
+    lab.step(7.5)
+    assert lab.progress(again) is Progress.UNDER_WAY
+    lab.step(1.0)
+    assert lab.progress(again) is Progress.DONE
 
 
 def test_a_stop_is_confirmed_robot_by_robot() -> None:
@@ -273,7 +304,7 @@ def test_a_form_is_done_only_when_it_is_flown_also_where_a_gap_closes_meanwhile(
     fleet = SimulatedFleet(an_experiment("close-up", THREE, PLACES))
 
     def ask(order: Order, form: str = "") -> int:
-        reason, number = fleet.core.request(order, fleet.fleet, fleet.now_ns, form=form)
+        reason, number = fleet.core.request(order, fleet.fleet, fleet.now_ns, text=form)
         assert not reason, reason
         return number
 

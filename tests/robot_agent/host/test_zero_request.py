@@ -17,6 +17,7 @@ from robot_agent.node import AgentNode, StepTime
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from shoal.mavlink.board_port import Link
 from shoal.runtime.runtime import Stop
 from sim_bridge.thruster_board.board import ThrusterBoard
@@ -25,6 +26,7 @@ from sim_bridge.thruster_board.sensor_zero import BoardStart, ResetCause, Sensor
 POOL = load_experiment("pool")
 STEP_NS = 50_000_000
 STILL, DEEP = np.zeros(4), np.array([0.0, 0.0, 0.5, 0.0])
+RESTARTED = BoardStart(int(ResetCause.BROWN_OUT), False, Zeros(0.0))
 
 
 class RestartedBoard(Link):
@@ -33,9 +35,8 @@ class RestartedBoard(Link):
     trouble = advice = ""
     first_word_s = 0.0
 
-    def __init__(self) -> None:
-        start = BoardStart(int(ResetCause.BROWN_OUT), False, Zeros(0.0))
-        self.board, self.now_ns = ThrusterBoard(POOL, 1, 1, zero=SensorZero(start)), 0
+    def __init__(self, start: BoardStart = RESTARTED, eta: Array = DEEP) -> None:
+        self.board, self.now_ns, self._eta = ThrusterBoard(POOL, 1, 1, zero=SensorZero(start)), 0, eta
 
     def send(self, data: bytes) -> None:
         self.board.receive(data, self.now_ns)
@@ -44,7 +45,7 @@ class RestartedBoard(Link):
         data = b""
         for _ in range(10):  # 5 ms each
             self.now_ns += STEP_NS // 10
-            data += self.board.step(self.now_ns, DEEP, STILL, STILL)
+            data += self.board.step(self.now_ns, self._eta, STILL, STILL)
         return data
 
     def wait(self, timeout_s: float) -> None: ...
