@@ -245,8 +245,8 @@ def test_check_shows_a_restart_and_a_zero_in_question_once_the_board_has_judged_
     monkeypatch.setattr(check_shell, "open_board_link", lambda board: (RestartedBoard(start, eta), None))
     monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
     board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
-    found = {finding.what: finding for finding in check_shell.run_preflight(board, None)}["thruster board"]
-    assert says in found.detail and found.verdict is verdict, found.detail
+    board_line = {finding.what: finding for finding in check_shell.run_preflight(board, None)}["thruster board"]
+    assert says in board_line.detail and board_line.verdict is verdict, board_line.detail
 
 
 class Told(obedient_board.Board):
