@@ -24,6 +24,8 @@ class FakeStation:
     orders: list[Order] = field(default_factory=list)
     via: Sequence[tuple[float, float]] = ()  # of the last order
     only: int = 0  # the robot that the last order was for
+    robots_asked: list[int] = field(default_factory=list)  # of each order; 0: the whole fleet
+    text: str = ""  # of the last order
     drives: list[tuple[int, DriveVelocity]] = field(default_factory=list)
     preflight: tuple[Finding, ...] | None = None  # None: as the robots are
     paths: Mapping[int, tuple[Trajectory, float]] | None = None
@@ -41,6 +43,7 @@ class FakeStation:
 
     def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = "") -> tuple[str, int]:
         self.orders.append(order)
+        self.robots_asked.append(only)
         self.via, self.only, self.text = via, only, text
         return "", len(self.orders)
 

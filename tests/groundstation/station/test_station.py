@@ -87,6 +87,17 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     recorder.close()
 
 
+def test_the_heartbeat_tells_when_the_flight_began(tmp_path: Path) -> None:
+    """Terminals, scripts and the recorded run count their time from it."""
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        beats = Bus(MemoryTransport(hub)).inbox(topics.HEARTBEAT, StationHeartbeat)
+        station.mission.began_ns = 1_234_000_000
+        station.cycle(station.clock.now_ns())
+        received = beats.newest()
+        assert received is not None and received.message.began_ns == 1_234_000_000
+
+
 def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
     """A detour was being planned when a person sent everybody home."""
     late = threading.Event()

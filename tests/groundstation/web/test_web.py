@@ -27,6 +27,7 @@ from shoal.config.experiment import load_experiment
 from shoal.config.scene import Waypoints
 from shoal.errors import ConfigError
 from shoal.messages.camera_coverage import project
+from shoal.messages.live_gains import tunable_parameters
 from shoal.messages.messages import BoardReading, CameraHealth, LocalizerStatus, Mode, Pose, RobotState, StepTiming, Track
 from shoal.runtime.web_access import host_allowed, origin_allowed, token_allowed, web_options
 from sim_bridge.camera import optics
@@ -469,3 +470,12 @@ def test_a_path_that_ends_before_the_run_is_drawn_to_its_end() -> None:
     tried = experiment_editor.attempt(POOL, edit)
     assert not tried["ok"] and "the path ends after" in tried["problems"][0]
     assert tried["duration_s"] < 40.0 and tried["paths"]
+
+
+def test_every_label_of_a_gain_names_one_and_every_gain_has_a_label() -> None:
+    """The page's table against what each control law lets people change."""
+    laws = [load_experiment("pool", [f"controller.law={law}"]).controller for law in ("nmpc", "eso-mpc-article", "pid")]
+    knobs = [knob.key for controller in laws for knob in tunable_parameters(controller)]
+    source = (Path(protocol.__file__).parent / "page/src/panels/Tuning.tsx").read_text(encoding="utf-8")
+    labels = re.findall(r'^  "([\w.]+)": \["', source, re.MULTILINE)
+    assert sorted(labels) == sorted({re.sub(r"^controller\.|\.\d+$", "", key) for key in knobs})

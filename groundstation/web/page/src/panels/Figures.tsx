@@ -4,7 +4,7 @@ import type { PlanFigure } from "../wire";
 
 export function Figures({ figures }: { figures: PlanFigure[] }) {
   return (
-    <table class="figures" aria-label="Clearances, speeds and forces of the plan">
+    <table class="figures" aria-label="Figures of the plan">
       <tbody>
         {figures.map(({ what, unit, value, limit, least }) => (
           <tr key={what}>

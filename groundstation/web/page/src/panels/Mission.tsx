@@ -289,7 +289,7 @@ export function Mission() {
       <Stopped state={state} />
       {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
       <Folder state={state} />
-      {state.flown !== undefined && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}
+      {state.flown && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}
       <Preflight state={state} />
       <div class="orders">
         {BUTTONS.map((button) => (
