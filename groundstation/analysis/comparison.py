@@ -16,7 +16,7 @@ import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.frames import Array, pose_error
-from shoal.messages.messages import Control, Mode, RobotState
+from shoal.messages.messages import Mode, RobotState
 
 SETTLED_S = 20.0
 ERROR_STRIDE = 10  # of control steps, in a plot's trace
@@ -143,11 +143,12 @@ def flight_figures(experiment: Experiment, states: list[list[RobotState]], truth
     limits, first = experiment.vehicle.limits, round(SETTLED_S / experiment.controller.period_s)
     distance = np.linalg.norm(error[:, :, :3], axis=2)
     formation, separation = _pairs(truth, error)
-    wanted = _values(states, "wrench_wanted") / np.array(limits.wrench)
+    axes = len(limits.wrench)
+    wanted = wrenches(states, "wrench_wanted", axes) / np.array(limits.wrench)
     quick = np.diff(wanted, axis=1) * np.array(limits.wrench) / experiment.wrench_step
     large = (np.abs(wanted) > 1.0 + 1e-9).any(axis=2)[:, 1:]
     fast = (np.abs(quick) > 1.0 + 1e-9).any(axis=2)
-    steps = _values(states, "wrench_step") / experiment.wrench_step
+    steps = wrenches(states, "wrench_step", axes) / experiment.wrench_step
     return FlightMetrics(
         rms_m=_rms_all(distance),
         rms_after_20s_m=_rms_all(distance[first:]),
@@ -183,15 +184,19 @@ def flight_traces(period_s: float, states: list[list[RobotState]], error: Array)
         error_period_s=round(ERROR_STRIDE * period_s, 9),
         error_m=[round(value, 6) for value in root.tolist()],
         input_period_s=round(period_s, 9),
-        wanted_n=np.round(_values(states, "wrench_wanted")[:, :shown, 0], 4).tolist(),
-        applied_n=np.round(_values(states, "wrench")[:, :shown, 0], 4).tolist(),
+        wanted_n=np.round(wrenches(states, "wrench_wanted", 1)[:, :shown, 0], 4).tolist(),
+        applied_n=np.round(wrenches(states, "wrench", 1)[:, :shown, 0], 4).tolist(),
     )
 
 
-def _values(states: list[list[RobotState]], key: str) -> Array:
-    """A field of the control in all states, (n, steps, 3); a robot that is neutral wants nothing and puts out nothing."""
-    neutral = Control()
-    return np.array([[getattr(state.control or neutral, key) for state in each] for each in states])
+def wrenches(states: list[list[RobotState]], key: str, axes: int) -> Array:
+    """The first axes of a wrench in all states, (n, steps, axes). 0 for a robot that has given up: it wants and gives none."""
+    rows = np.zeros((len(states), len(states[0]), axes))
+    for i, each in enumerate(states):
+        for k, state in enumerate(each):
+            if state.control is not None:
+                rows[i, k] = getattr(state.control, key)[:axes]
+    return rows
 
 
 def _rms_all(values: Array) -> float:

@@ -64,7 +64,8 @@ class RequestGoal:
     """Goal of a request: mission states on the way and at the end, and the check that a robot has confirmed.
 
     `repeats`: in the end state the command is sent again and again, so a robot may still confirm. `all_robots`: lost robots
-    count too; `moving`: lost robots count that move or hold. `new_segment`: another segment is flown then.
+    count too; `moving`: lost robots count that move or hold; `begun`: robots count that have been lost since the request.
+    `new_segment`: another segment is flown then.
     """
 
     through: frozenset[MissionState]
@@ -73,6 +74,7 @@ class RequestGoal:
     repeats: bool = False
     all_robots: bool = False
     moving: bool = False
+    begun: bool = False
     new_segment: bool = False
 
 
@@ -94,7 +96,7 @@ GOALS: dict[Order, RequestGoal] = {
         all_robots=True,
         new_segment=True,
     ),
-    Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), begun=True, new_segment=True),
     Order.DISARM: RequestGoal(
         frozenset({MissionState.ENDING, MissionState.ABORTING}),
         AT_REST,
@@ -126,6 +128,7 @@ class _Request:
     number: int
     order: Order
     segment: PlanSegment
+    active: tuple[int, ...]  # robots that took part when it began
     tuning_id: str = ""  # TUNE: the requested set
     only: int = WHOLE_FLEET  # or the one robot that it is about,
     task: RobotTask | None = None  # and its task
@@ -159,7 +162,7 @@ class RequestTracker:
     def note_done(self, order: Order, mission: Mission) -> int:
         """Count a request that was done at once, and that nothing else follows. Returns its number."""
         self._count += 1
-        self._record(_Request(self._count, order, mission.segment), mission, Progress.DONE)
+        self._record(_Request(self._count, order, mission.segment, mission.roster.active), mission, Progress.DONE)
         return self._count
 
     def begin_task(self, robot: int, task: RobotTask, mission: Mission) -> int:
@@ -172,7 +175,17 @@ class RequestTracker:
     ) -> int:
         self._count += 1
         at_rest = order in OTHER_FLIGHTS and mission.state is MissionState.WAITING
-        request = _Request(self._count, order, mission.segment, tuning_id, only, task, at_rest, begun_ns=mission.cycle_ns)
+        request = _Request(
+            self._count,
+            order,
+            mission.segment,
+            mission.roster.active,
+            tuning_id,
+            only,
+            task,
+            at_rest,
+            begun_ns=mission.cycle_ns,
+        )
         self._open.append(request)
         self._record(request, mission)
         return request.number
@@ -216,8 +229,11 @@ class RequestTracker:
             return ()
         if GOALS[request.order].all_robots:
             return tuple(r for r in self._robots if r not in mission.roster.out or may_have_power(fleet[r]))
-        lost = [r for r in mission.roster.lost if GOALS[request.order].moving and _moves_or_holds(fleet[r])]
-        return tuple(r for r in self._robots if r in lost or r in mission.roster.active)
+        goal = GOALS[request.order]
+        lost = [r for r in mission.roster.lost if goal.moving and _moves_or_holds(fleet[r])]
+        return tuple(
+            r for r in self._robots if r in lost or r in mission.roster.active or (goal.begun and r in request.active)
+        )
 
     def _mission_progress(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[Progress, str, list[int]]:
         """Progress of a request for the whole fleet, its reason, and the robots that it waits for."""

@@ -22,6 +22,7 @@ from shoal.messages.messages import (
     Pose,
     Reply,
     RobotState,
+    StepTiming,
     Track,
     Trajectory,
 )
@@ -92,6 +93,7 @@ class ObedientRobot:
             tuning_id=self.tuning_id,
             blind=self.blind,
             board=BoardReading(battery_v=self.battery_v),
+            timing=StepTiming(board_age_ms=20.0),
             estimate=Estimate(eta=np.array(self.eta), nu=np.array([self.surge_mps, 0.0, 0.0, 0.0])),
             control=Control() if self.mode in LIVE else None,
         )

@@ -1,5 +1,7 @@
-"""A script makes the operator's requests, reads live states, and is told what is missing or late. The station is played by the
-test, on a bus in memory."""
+"""A script makes the operator's requests, reads live states, and is told what is missing or late.
+
+The station is played by the test, on a bus in memory.
+"""
 
 import threading
 import time

@@ -21,7 +21,7 @@ from shoal.errors import ConfigError
 from shoal.messages.messages import required
 from shoal.runtime.version import code
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
-from tests.closed_loop.numeric import flown
+from tests.flights.scene_flights import flown_once
 from tests.planted import executed, installed, plant
 
 pytestmark = pytest.mark.long
@@ -34,6 +34,17 @@ class Own:
     def learn(self, now, short, period_s): ...
     def reset(self): ...
 """
+
+
+class Idle:
+    """A law that never pushes: its robots leave their paths, and give up."""
+
+    def __init__(self, *about: object) -> None: ...
+    def wrench(self, now: object) -> tuple[float, float, float]:
+        return 0.0, 0.0, 0.0
+
+    def learn(self, now: object, short: object, period_s: float) -> None: ...
+    def reset(self) -> None: ...
 
 
 def task(experiment: Experiment, with_traces: bool = True) -> FlightTask:
@@ -70,7 +81,7 @@ def test_scattered_robots_begin_outside_of_one_another_s_space() -> None:
 
 
 def test_figures_are_those_of_the_flight() -> None:
-    flight = flown("numeric", *SHORT, "controller.law=backstepping")
+    flight = flown_once("numeric", *SHORT, "controller.law=backstepping")
     figures = fly(task(flight.experiment)).figures
     error, states = flight.error[1:], [each[1:] for each in flight.states]  # time 0 is the start itself
     distance = np.sqrt((error[:, :, :3] ** 2).sum(axis=2))
@@ -92,6 +103,14 @@ def test_figures_are_those_of_the_flight() -> None:
     steps = np.array([[required(s.control).wrench_step for s in each] for each in states]) / [0.3, 0.3, 0.1]
     assert figures.input_step_rms == pytest.approx(np.sqrt((steps**2).mean(axis=1)).max())
     assert figures.under_way == 1.0
+
+
+def test_a_law_that_gives_up_is_compared_all_the_same() -> None:
+    """Its robots go to FAULT, at neutral from then on, and their errors grow on."""
+    flight = fly(task(load_experiment("numeric", [*SHORT, f"controller.law={__name__}:Idle"])))
+    figures, traces = flight.figures, flight.traces
+    assert 0.0 < figures.under_way < 0.95 and figures.rms_after_20s_m > 0.5 and figures.input_step_rms == 0.0
+    assert traces is not None and traces.applied_n[0][-1] == traces.wanted_n[0][-1] == 0.0
 
 
 def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_look_at() -> None:
