@@ -423,8 +423,8 @@ def test_settings_lie_over_the_file_in_their_order() -> None:
 def test_names_and_paths() -> None:
     assert experiment_path("pool") == EXPERIMENTS / "pool.toml"
     assert experiment_path("somewhere/mine.toml") == Path("somewhere/mine.toml")
-    meant = r"experiment 'pol': no such experiment; did you mean pool\? \(allowed: .*pool.*, or a path"
-    with pytest.raises(ConfigError, match=meant):
+    complaint = r"experiment 'pol': no such experiment; did you mean pool\? \(allowed: .*pool.*, or a path"
+    with pytest.raises(ConfigError, match=complaint):
         load_experiment("pol")
 
 
