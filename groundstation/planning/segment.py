@@ -114,7 +114,7 @@ def first_contact(experiment: Experiment, segment: PlanSegment, from_s: float, u
             first = int(meets[0])
             x, y, _ = obstacles[int(np.argmax(short[first]))]
             contacts.append(
-                (first, f"at ({x:.2f}, {y:.2f}) m, on the path of robot {slot}, in {first * segment.centre.period_s:.1f} s")
+                (first, f"at ({x:z.2f}, {y:z.2f}) m, on the path of robot {slot}, in {first * segment.centre.period_s:.1f} s")
             )
     return min(contacts)[1] if contacts else ""
 

@@ -118,7 +118,7 @@ def move_past(experiment: Experiment, segment: PlanSegment, begin_s: float, obst
                     reason = error
     x, y, _ = obstacles[_nearest(places, obstacles, spans[0])]
     why = str(reason).partition("\n")[0] or "robots would still be too near on either side, or there is no time to move aside"
-    raise PlanError(f"no way past the obstacle at ({x:.2f}, {y:.2f}) m: {why}")
+    raise PlanError(f"beside the obstacle at ({x:z.2f}, {y:z.2f}) m: {why}")
 
 
 def _spans(places: Array, obstacles: Array, keep_m: Array) -> list[tuple[int, int]]:

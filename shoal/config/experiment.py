@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -20,7 +20,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from shoal.config.controller import ControllerConfig, Safety
 from shoal.config.fault_injection import KINDS, fault_table, no_target
 from shoal.config.formation_shapes import SHAPES, shape_nodes
-from shoal.config.loader import Section, apply_setting, check, parse_toml, read_toml
+from shoal.config.loader import Section, apply_setting, check, nearest, parse_toml, read_toml
 from shoal.config.mission import MissionConfig
 from shoal.config.perception import LANDMARKS_NEEDED, UNSEEING, Camera, CameraFile, Landmark, Localizer, NamedCamera
 from shoal.config.recording import Recording
@@ -421,8 +421,11 @@ def experiment_path(name_or_path: str) -> Path:
         return Path(name_or_path)
     path = EXPERIMENTS / f"{name_or_path}.toml"
     if not path.is_file():
-        names = ", ".join(sorted(p.stem for p in EXPERIMENTS.glob("*.toml")))
-        raise ConfigError(f"experiment {name_or_path!r}: no such experiment (allowed: {names}, or a path ending in .toml)")
+        names = sorted(p.stem for p in EXPERIMENTS.glob("*.toml"))
+        own = f"{name_or_path}.toml"
+        near = f"; did you mean {own}?" if Path(own).is_file() else nearest(name_or_path, names)
+        allowed = f"{', '.join(names)}, or a path ending in .toml"
+        raise ConfigError(f"experiment {name_or_path!r}: no such experiment{near} (allowed: {allowed})")
     return path
 
 
@@ -443,20 +446,24 @@ def checked_experiment(
         _insert_files(table, path)
     _insert_nodes(table)
     sim = table.setdefault("sim", {}) if faults else None
+    of_file = 0
     if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
+        of_file = len(sim["faults"])
         sim["faults"] += map(fault_table, faults)
     try:
         return check(Experiment, table, str(path))
     except ConfigError as error:
-        raise ConfigError("\n".join(_of_setting(line, path, settings) for line in str(error).splitlines())) from None
+        given = {f"sim.faults.{k}": f"--fault {fault!r}" for k, fault in enumerate(faults, of_file)}
+        given |= {setting.partition("=")[0].strip(): f"--set {setting}" for setting in settings}
+        raise ConfigError("\n".join(_of_option(line, path, given) for line in str(error).splitlines())) from None
 
 
-def _of_setting(line: str, path: Path, settings: Sequence[str]) -> str:
-    """An error's line, with the setting in the file's place where it is about the setting's key."""
+def _of_option(line: str, path: Path, given: Mapping[str, str]) -> str:
+    """An error's line, with the option of the command line in the file's place where it is about that option's key."""
     about = line.removeprefix(f"{path}: ")
-    for setting in reversed(settings):
-        if re.match(rf"{re.escape(setting.partition('=')[0].strip())}[.: ]", about):
-            return f"--set {setting}: {about}"
+    for key, option in reversed(list(given.items())):
+        if re.match(rf"{re.escape(key)}[.: ]", about):
+            return f"{option}: {about}"
     return line
 
 
@@ -486,11 +493,12 @@ def _insert_files(table: dict[str, Any], experiment: Path) -> None:
 def _insert_nodes(table: dict[str, Any]) -> None:
     """Give the robots that have no node one of the formation's shape, in the file's order."""
     formation, robots = table.get("formation"), table.get("robots")
-    if not (isinstance(formation, dict) and isinstance(robots, list)) or formation.get("shape") not in SHAPES:
+    if not (isinstance(formation, dict) and isinstance(robots, list)) or formation.get("shape") is None:
         return
+    shape = formation["shape"] if formation["shape"] in SHAPES else SHAPES[0]  # one complaint, not one of each robot too
     spacing_m = formation.get("spacing_m", FormationConfig.model_fields["spacing_m"].default)
     if isinstance(spacing_m, int | float) and 0.0 < spacing_m < math.inf:
-        for robot, node in zip(robots, shape_nodes(formation["shape"], len(robots), spacing_m).tolist(), strict=True):
+        for robot, node in zip(robots, shape_nodes(shape, len(robots), spacing_m).tolist(), strict=True):
             if isinstance(robot, dict):
                 robot.setdefault("node_m", node)
 

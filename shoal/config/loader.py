@@ -1,8 +1,10 @@
 """SHELL: load a TOML file into a checked pydantic model; every complaint names file, key, value and what is allowed."""
 
+import difflib
 import json
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -137,13 +139,20 @@ _IN_WORDS = {
 }
 
 
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """The allowed name that a person may have meant, as a question behind an error's text; empty if none is like it."""
+    similar = difflib.get_close_matches(name, list(allowed), n=1)
+    return f"; did you mean {similar[0]}?" if similar else ""
+
+
 def _explain(problem: Any, model: type[Section]) -> str:
     """One pydantic problem as `key = value: what is allowed`."""
     key, holder = _locate(model, problem["loc"])
     context = problem.get("ctx", {})
     message = _IN_WORDS.get(problem["type"], "").format_map(context) or problem["msg"].removeprefix("Value error, ")
     if problem["type"] == "extra_forbidden":
-        return f"{key}: unknown key (allowed here: {', '.join(sorted(holder.model_fields))})"
+        near = nearest(key.rpartition(".")[2], holder.model_fields)
+        return f"{key}: unknown key{near} (allowed here: {', '.join(sorted(holder.model_fields))})"
     if problem["type"] == "missing":
         return f"{key}: missing, and it has no default"
     if problem["type"] in ("union_tag_not_found", "union_tag_invalid"):

@@ -131,9 +131,9 @@ class Drifter(Section):
     """A red ball adrift in the simulated pool. No message names it: the camera has to see it, and no robot bounces off it."""
 
     radius_m: Positive = 0.1
-    """Radius."""
+    """Radius of this obstacle."""
     start_m: Vec3
-    """Position at from_s."""
+    """Position of this obstacle at from_s."""
     velocity_mps: Vec3 = (0.0, 0.0, 0.0)
     """Velocity in the pool frame."""
     from_s: NotNegative = 0.0

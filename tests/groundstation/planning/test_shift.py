@@ -85,7 +85,7 @@ def test_no_way_past_is_one_sentence_that_names_the_obstacle() -> None:
     x, y = first_segment(pool).centre.eta[800, :2]
     with pytest.raises(PlanError) as refused:
         replan(pool, first_segment(pool), 20.0, np.array([[x, y, 0.1]]))
-    assert str(refused.value).startswith(f"no way past the obstacle at ({x:.2f}, {y:.2f}) m: ")
+    assert str(refused.value).startswith(f"beside the obstacle at ({x:.2f}, {y:.2f}) m: ")
     assert "\n" not in str(refused.value) and "island" not in str(refused.value)
 
 

@@ -423,7 +423,8 @@ def test_settings_lie_over_the_file_in_their_order() -> None:
 def test_names_and_paths() -> None:
     assert experiment_path("pool") == EXPERIMENTS / "pool.toml"
     assert experiment_path("somewhere/mine.toml") == Path("somewhere/mine.toml")
-    with pytest.raises(ConfigError, match=r"experiment 'pol': no such experiment \(allowed: .*pool.*, or a path"):
+    complaint = r"experiment 'pol': no such experiment; did you mean pool\? \(allowed: .*pool.*, or a path"
+    with pytest.raises(ConfigError, match=complaint):
         load_experiment("pol")
 
 
@@ -504,3 +505,21 @@ def test_a_neighbours_plan_does_not_count_when_all_of_it_is_past() -> None:
             ConfigError, match=r"safety.plan_max_age_s = (2.6|1.3): a plan reaches .*allowed: up to (2.5|1.25)"
         ):
             load_experiment("pool", settings)
+
+
+def test_a_slip_of_the_pen_is_answered_once_with_what_was_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A key, a shipped experiment, a file without its ending; and a fault of the command line is not the file's."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lab.toml").write_text("", encoding="utf-8")
+    for name, settings, faults, answer in (
+        ("poool", [], [], "no such experiment; did you mean pool?"),
+        ("lab", [], [], "no such experiment; did you mean lab.toml?"),
+        ("pool", ["duraton_s=3"], [], "duraton_s: unknown key; did you mean duration_s?"),
+        ("pool", [], ["t=3 thruser dead"], "--fault 't=3 thruser dead': sim.faults.0: what = 'thruser dead'"),
+    ):
+        with pytest.raises(ConfigError) as refused:
+            load_experiment(name, settings, faults)
+        assert answer in str(refused.value) and str(EXPERIMENTS) not in str(refused.value)
+    with pytest.raises(ConfigError) as shapeless:
+        load_experiment("numeric", ["formation.shape=trinagle"])
+    assert str(shapeless.value).count("\n") == 0 and "'triangle'" in str(shapeless.value)
