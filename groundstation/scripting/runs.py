@@ -45,8 +45,15 @@ class FlownRun:
     def table(self, topic: str, robot: int = 0) -> dict[str, NDArray[Any]]:
         """All messages of a topic as columns, named as `groundstation log export` names them. `time_s` is 0 where the report's
         is. Missing numbers are NaN. `pandas.DataFrame` takes it as it is. Topics of a robot go by their last part:
-        `table("state", robot=2)`. Raises ConfigError for an unknown topic or an empty log."""
-        return tables.table(self.folder / "run.mcap", _topic(topic), robot)
+        `table("state", robot=2)`. Raises ConfigError for an unknown topic, a robot that the experiment lacks, or an
+        empty log."""
+        recorded = _topic(topic)
+        of_robots = "{robot}" in recorded.name
+        robots = self.experiment.robot_ids if of_robots else (0,)
+        if robot not in robots:
+            allowed = f"allowed: {', '.join(map(str, robots))}" if of_robots else "it is one table for all: leave `robot` out"
+            raise ConfigError(f"table({topic!r}): no such robot {robot} ({allowed})")
+        return tables.table(self.folder / "run.mcap", recorded, robot)
 
 
 def _topic(name: str) -> Topic:
