@@ -77,7 +77,7 @@ def test_the_flight_begins_at_the_chosen_waypoint_and_may_stop_at_the_last(corne
     assert np.allclose(state.position_m[-1, :2], (-0.6, -0.4), atol=1e-6) and not state.velocity_mps[-1].any()
 
 
-def test_what_has_no_corner_to_stop_at_is_refused() -> None:
+def test_a_path_without_a_corner_to_stop_at_is_refused() -> None:
     with pytest.raises(ValueError, match="points 1 and 2 are the same place"):
         make_path(Waypoints(kind="waypoints", points_m=((0, 0), (1, 0), (1, 0)), speed_mps=0.1, corner="stop"))
     with pytest.raises(ConfigError, match="a path that stops at its corners is level"):
