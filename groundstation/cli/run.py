@@ -162,19 +162,11 @@ def _intent(experiment: Experiment, folder: Path) -> str:
     """Summary of the run that would be flown. Raises ConfigError for one that cannot."""
     from groundstation.logs.recorder import check_room
     from groundstation.planning import planner
-    from groundstation.planning.feasibility import figures
 
-    trajectories = planner.plan(experiment)
-    starts = planner.start_poses(experiment, trajectories)
+    description = planner.description(experiment)
     check_room(folder, experiment.recording.min_free_gb)
-    lines = [
-        f"{experiment.title or experiment.name}: {experiment.duration_s:g} s, experiment {experiment.hash[:8]}, into {folder}"
-    ]
-    for robot, (x_m, y_m, z_m, yaw_rad) in starts.items():
-        lines.append(f"robot {robot} starts at x {x_m:.2f}, y {y_m:.2f}, z {z_m:.2f} m, yaw {yaw_rad:.2f} rad")
-    count = round(experiment.duration_s / experiment.controller.period_s) + 1
-    lines += [str(figure) for figure in figures(experiment, trajectories, count)]
-    return "\n".join(lines)
+    flown = f"{experiment.title or experiment.name}: {experiment.duration_s:g} s"
+    return "\n".join([f"{flown}, experiment {experiment.hash[:8]}, into {folder}", *description])
 
 
 def plan(experiment: ExperimentName, settings: Settings = None) -> None:

@@ -55,7 +55,7 @@ JOIN_WITHIN_S = 3.5  # for a robot to begin to fly with the others, who fly alre
 TEST_PATIENCE_S = 12.0  # for the thruster test of all robots
 SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going on
 AT_REST_MPS = 0.03  # slower than this counts as at rest
-REST_WITHIN_S = 8.0  # then planning begins all the same: robots that hold against waves never quite rest
+REST_WITHIN_S = 8.0  # then a hold is done, and planning begins, all the same: robots in waves never quite rest
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
 ATTENDED = "a person attends, and has to start it"  # an automatic mission, once somebody has taken a hand in it
@@ -135,7 +135,7 @@ class Mission:
         self._dispatcher = CommandDispatcher(experiment.hash)
         self._experiment = experiment
         self._data, self._run = _StateData(), _RunData()
-        self._cycle_ns: int | None = None  # instant of the last cycle
+        self.cycle_ns = 0  # instant of the last cycle; 0 before the first
         self._timetable: Timetable | None = None  # of the last start
         self._still_to_arm: frozenset[int] = frozenset()  # robots that may be disarmed until a new plan arms them
         self._asked_ns = 0  # instant of the last request for which robots may be armed
@@ -144,6 +144,7 @@ class Mission:
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
         self._needs_operator = False  # an automatic mission does not go on by itself
+        self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
         self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
 
@@ -195,8 +196,10 @@ class Mission:
             self._replan_if_needed(fleet, now_ns)
         if order is Order.GO:
             self.plans.request_replan(fleet, now_ns, tuple(via))
-        if order is Order.FORMATION and self.state is MissionState.SWITCHING:
-            self.plans.request_form(text, fleet, now_ns)
+        if order is Order.FORMATION:
+            self._form = text
+            if self.state is MissionState.SWITCHING:
+                self.plans.request_form(text, fleet, now_ns)
         return ""
 
     def _prepare(self, order: Order, fleet: Fleet, text: str) -> None:
@@ -286,8 +289,8 @@ class Mission:
         self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int, obstacles: ObstacleSet | None = None
     ) -> tuple[Command, ...]:
         """Do one cycle; returns the commands to send now. `obstacles` None: as in the cycle before."""
-        elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
-        self._cycle_ns = now_ns
+        elapsed_s = (now_ns - self.cycle_ns) * 1e-9 if self.cycle_ns else 0.0
+        self.cycle_ns = now_ns
         own_results = [result for result in results if result.command.robot in self.roster.all_robots]
         left_out = self.roster.all_robots if self.state in AT_REST else self.roster.lost  # silence of theirs stops nothing
         counted = [r for r in own_results if not (r.reply.silent and r.command.robot in left_out)]
@@ -499,7 +502,10 @@ class Mission:
     def _close_up(self, fleet: Fleet, now_ns: int) -> None:
         self._run.gap = False
         self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
-        self.plans.target_slots()
+        if self._form:  # the gap closes on the way into the form that was asked for
+            self.plans.target_form(self._form)
+        else:
+            self.plans.target_slots()
         self._go(MissionEvent.LOST_CLOSE_UP, now_ns)
 
     def _govern(self, fleet: Fleet, elapsed_s: float) -> None:
@@ -732,7 +738,7 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
-        if state in TERMINAL:
+        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop or a DISARM after the run has ended so
             self.verdict = state
         elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
             self.verdict = None
@@ -746,6 +752,8 @@ class Mission:
             self._timetable = Timetable(now_ns + round(START_IN_S * 1e9), from_s + self.governor.lag_s)
         if state is not MissionState.SWITCHING:
             self.plans.next = None
+        if state not in PLANNING | {MissionState.RELEASING, MissionState.SWITCHING}:
+            self._form = ""
         self.plans.request = None  # an outcome that belongs to the state before must not be taken for the next one
         if state is MissionState.TEST_ARMING:
             self._dispatcher.tested.clear()

@@ -66,7 +66,7 @@ class ObstacleMonitor:
         """
         safety = self.flown.safety
         wide_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
-        robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.pose or robot.state]
+        robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.is_located]
         return np.vstack([self._discs(now_ns) if obstacles else NO_OBSTACLES, np.array(robots).reshape(-1, 3)])
 
     def first_contact(self, segment: PlanSegment, progress_s: float, lost: Iterable[RobotView], now_ns: int | None) -> str:
@@ -82,5 +82,6 @@ class ObstacleMonitor:
         return first_contact(self.flown, segment, progress_s, progress_s + AHEAD_S, obstacles)
 
     def _discs(self, now_ns: int | None) -> Array:
+        """Discs of the obstacles that are there: with `now_ns` only those seen for SURE_S by then."""
         sure = [now_ns is None or now_ns - self._since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._present.ids]
         return self._present.discs[np.array(sure, dtype=bool)] if self._present.ids else NO_OBSTACLES

@@ -188,6 +188,7 @@ class PlanManager:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
 
             def make(out_of_time: OutOfTime) -> PlanSegment:
+                """In the planner's thread: from the rest poses into the slots of the new form."""
                 held = in_form(experiment, segment, progress_s, read_form(form, 0.0)[0])
                 return plan_regroup(experiment, held, begin_s, progress_s, rests, slots, obstacles, out_of_time)
 

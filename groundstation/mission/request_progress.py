@@ -10,7 +10,15 @@ from dataclasses import dataclass, field
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
-from groundstation.mission.mission import JOIN_WITHIN_S, OTHER_FLIGHTS, Mission, may_have_power, may_move
+from groundstation.mission.mission import (
+    AT_REST_MPS,
+    JOIN_WITHIN_S,
+    OTHER_FLIGHTS,
+    REST_WITHIN_S,
+    Mission,
+    may_have_power,
+    may_move,
+)
 from groundstation.mission.objections import ARMED, LIVE, MOVING
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
@@ -25,6 +33,7 @@ KEPT = 16
 
 _FROM_REST = frozenset({MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING, MissionState.RELEASING})
 UNARMED = AT_REST | {MissionState.STOPPED}  # the mission arms no robot
+IN_PLACE_M = 0.05  # from the place that a robot holds
 
 Confirms = Callable[[Mission, RobotView, int], bool]
 
@@ -55,7 +64,8 @@ class RequestGoal:
     """Goal of a request: mission states on the way and at the end, and the check that a robot has confirmed.
 
     `repeats`: in the end state the command is sent again and again, so a robot may still confirm. `all_robots`: lost robots
-    count too; `moving`: lost robots count that move or hold. `new_segment`: another segment is flown then.
+    count too; `moving`: lost robots count that move or hold; `begun`: robots count that have been lost since the request.
+    `new_segment`: another segment is flown then.
     """
 
     through: frozenset[MissionState]
@@ -64,6 +74,7 @@ class RequestGoal:
     repeats: bool = False
     all_robots: bool = False
     moving: bool = False
+    begun: bool = False
     new_segment: bool = False
 
 
@@ -85,7 +96,7 @@ GOALS: dict[Order, RequestGoal] = {
         all_robots=True,
         new_segment=True,
     ),
-    Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), begun=True, new_segment=True),
     Order.DISARM: RequestGoal(
         frozenset({MissionState.ENDING, MissionState.ABORTING}),
         AT_REST,
@@ -117,11 +128,13 @@ class _Request:
     number: int
     order: Order
     segment: PlanSegment
+    active: tuple[int, ...]  # robots that took part when it began
     tuning_id: str = ""  # TUNE: the requested set
     only: int = WHOLE_FLEET  # or the one robot that it is about,
     task: RobotTask | None = None  # and its task
     at_rest: bool = False  # robots were at rest, and only a plan is made
     refusals: dict[int, str] = field(default_factory=dict)  # by robot, the last one
+    begun_ns: int = 0  # by the mission's cycle
 
 
 class RequestTracker:
@@ -149,7 +162,7 @@ class RequestTracker:
     def note_done(self, order: Order, mission: Mission) -> int:
         """Count a request that was done at once, and that nothing else follows. Returns its number."""
         self._count += 1
-        self._record(_Request(self._count, order, mission.segment), mission, Progress.DONE)
+        self._record(_Request(self._count, order, mission.segment, mission.roster.active), mission, Progress.DONE)
         return self._count
 
     def begin_task(self, robot: int, task: RobotTask, mission: Mission) -> int:
@@ -162,7 +175,17 @@ class RequestTracker:
     ) -> int:
         self._count += 1
         at_rest = order in OTHER_FLIGHTS and mission.state is MissionState.WAITING
-        request = _Request(self._count, order, mission.segment, tuning_id, only, task, at_rest)
+        request = _Request(
+            self._count,
+            order,
+            mission.segment,
+            mission.roster.active,
+            tuning_id,
+            only,
+            task,
+            at_rest,
+            begun_ns=mission.cycle_ns,
+        )
         self._open.append(request)
         self._record(request, mission)
         return request.number
@@ -206,14 +229,19 @@ class RequestTracker:
             return ()
         if GOALS[request.order].all_robots:
             return tuple(r for r in self._robots if r not in mission.roster.out or may_have_power(fleet[r]))
-        lost = [r for r in mission.roster.lost if GOALS[request.order].moving and _moves_or_holds(fleet[r])]
-        return tuple(r for r in self._robots if r in lost or r in mission.roster.active)
+        goal = GOALS[request.order]
+        lost = [r for r in mission.roster.lost if goal.moving and _moves_or_holds(fleet[r])]
+        return tuple(
+            r for r in self._robots if r in lost or r in mission.roster.active or (goal.begun and r in request.active)
+        )
 
     def _mission_progress(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[Progress, str, list[int]]:
         """Progress of a request for the whole fleet, its reason, and the robots that it waits for."""
         goal = PLANNED_AT_REST if request.at_rest else GOALS[request.order]
         robots = self._concerned(request, mission, fleet)
         waiting = [robot for robot in robots if not goal.confirmed(mission, fleet[robot], robot)]
+        if request.order is Order.HOLD and mission.cycle_ns - request.begun_ns < REST_WITHIN_S * 1e9:
+            waiting = [robot for robot in robots if robot in waiting or not _rests(fleet[robot])]
         planning = request.at_rest and mission.plan_request is not None
         if mission.state in goal.through or (planning and mission.state in goal.to):
             return Progress.UNDER_WAY, "", waiting
@@ -268,6 +296,12 @@ class RequestTracker:
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
 
 
+def _rests(view: RobotView) -> bool:
+    """True for a robot that is at rest in the place that it holds."""
+    away_m = view.state.error_m if view.state is not None else None
+    return view.speed_mps < AT_REST_MPS and (away_m is None or away_m < IN_PLACE_M)
+
+
 def _moves_or_holds(view: RobotView) -> bool:
     return may_move(view) and view.mode in MOVING | {Mode.HOLDING}
 
@@ -286,5 +320,6 @@ def _reason(view: RobotView, rejection_reason: str) -> str:
     if not view.heard or view.mode is None:
         return "not heard" if view.state is None else f"not heard for {view.state_age_s:.1f} s"
     tested = view.state.thruster_test if view.state is not None else ""
-    mode_text = f"is {view.mode.name.lower()}{f', thruster test {tested}' if tested else ''}"
+    moving = ", not yet at rest" if view.mode is Mode.HOLDING and not _rests(view) else ""
+    mode_text = f"is {view.mode.name.lower()}{moving}{f', thruster test {tested}' if tested else ''}"
     return rejection_reason or mode_text

@@ -55,15 +55,15 @@ def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], coun
     eta = [t.eta[:count, :3] for t in trajectories.values()]
     apart_m = min((float(np.linalg.norm(a - b, axis=1).min()) for a, b in combinations(eta, 2)), default=np.inf)
     away_m = float(experiment.clearance_m(np.vstack(eta)).min())
-    rows = [
+    listed = [
         PlanFigure("between centres", "m", apart_m, 2.0 * experiment.safety.radius_m, True),
         PlanFigure("hulls to walls and islands", "m", away_m, 0.0, True),
     ]
     demands = [experiment.vehicle.demands(t.velocity[:count], t.acceleration[:count]) for t in trajectories.values()]
     for of_robots in zip(*demands, strict=True):
         what, unit, _, limit, _ = of_robots[0]
-        rows.append(PlanFigure(what, unit, max(float(values.max()) for *_, values in of_robots), limit))
-    return [figure for figure in rows if np.isfinite(figure.value)]
+        listed.append(PlanFigure(what, unit, max(float(values.max()) for *_, values in of_robots), limit))
+    return [figure for figure in listed if np.isfinite(figure.value)]
 
 
 def robot_problems(

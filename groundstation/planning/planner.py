@@ -14,6 +14,7 @@ import numpy as np
 from groundstation.planning.feasibility import (
     TOLERANCE,
     PlanError,
+    figures,
     outside,
     pair_problems,
     place,
@@ -85,6 +86,18 @@ def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
     assert centre is not None  # there is at least one robot
     trajectories = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
     return FleetPlan(trajectories, trajectory(centre, period_s)), problems
+
+
+def description(experiment: Experiment) -> list[str]:
+    """Lines that describe the plan before it is flown: starts, clearances, speeds and forces. Raises PlanError."""
+    trajectories = plan(experiment)
+    starts = start_poses(experiment, trajectories)
+    lines = [
+        f"robot {robot} starts at x {x_m:.2f}, y {y_m:.2f}, z {z_m:.2f} m, yaw {yaw_rad:.2f} rad"
+        for robot, (x_m, y_m, z_m, yaw_rad) in starts.items()
+    ]
+    count = round(experiment.duration_s / experiment.controller.period_s) + 1
+    return lines + [str(figure) for figure in figures(experiment, trajectories, count)]
 
 
 def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[int, Array]:

@@ -290,7 +290,9 @@ class Station:
         """Hand a person's fault to the simulator. Returns the reason of a refusal, or nothing, and the request's number."""
         simulator, number = process_name(Role.SIMULATOR), 0
         try:
-            what, for_s = read_request(text, self.experiment.robot_ids)
+            experiment = self.experiment
+            uses_camera = experiment.localizer.uses_camera
+            what, for_s = read_request(text, experiment.robot_ids, experiment.camera_names, uses_camera)
         except ValueError as error:
             reason = str(error)
         else:

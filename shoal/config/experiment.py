@@ -18,7 +18,7 @@ import tomli_w
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from shoal.config.controller import ControllerConfig, Safety
-from shoal.config.fault_injection import KINDS, fault_table
+from shoal.config.fault_injection import KINDS, fault_table, no_target
 from shoal.config.formation_shapes import SHAPES, shape_nodes
 from shoal.config.loader import Section, apply_setting, check, parse_toml, read_toml
 from shoal.config.mission import MissionConfig
@@ -214,12 +214,9 @@ class Experiment(Section):
         localizers = ("localizer", *(f"localizer-{name}" for name in self.camera_names))
         processes = ("groundstation", "sim-bridge", *localizers, *(f"agent-{robot}" for robot in self.robot_ids))
         for i, fault in enumerate(self.sim.faults):
-            broken, allowed = fault.broken, ", ".join(map(str, self.robot_ids))
-            if broken.robot and broken.robot not in self.robot_ids:
-                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no robot {broken.robot} (allowed: {allowed})")
-            if broken.camera and broken.camera not in self.camera_names:
-                cameras = ", ".join(self.camera_names) or "no name: there is one camera"
-                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no camera {broken.camera!r} (allowed: {cameras})")
+            broken = fault.broken
+            if reason := no_target(broken, self.robot_ids, self.camera_names):
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: {reason}")
             if broken.process and broken.process not in processes:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no such process (allowed: {', '.join(processes)})")
         return self
@@ -386,6 +383,16 @@ def with_flight(experiment: Experiment, text: str) -> Experiment:
     table |= {key: given[key] for key in ("name", "path", "duration_s") if key in given} | {"formation": formation}
     _insert_nodes(table)
     return check(Experiment, table, str(name))
+
+
+def dump_flight(experiment: Experiment) -> str:
+    """The flight of an experiment as TOML, as `with_flight` takes it: small enough for a message."""
+    table = experiment.model_dump(
+        mode="json", exclude_none=True, include={"name", "duration_s", "path", "formation", "robots"}
+    )
+    kept = ("id", "node_m", "path")
+    table["robots"] = [{key: robot[key] for key in kept if key in robot} for robot in table["robots"]]
+    return tomli_w.dumps(table)
 
 
 def _with_other_places(name: Any, robots: list[dict[str, Any]], others: Any) -> list[dict[str, Any]]:

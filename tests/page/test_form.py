@@ -21,6 +21,8 @@ from shoal.runtime.runtime import Clock
 from tests.page.elements import button, tile
 from tests.page.lone_station import LoneStation, lone_station
 
+pytestmark = pytest.mark.real_time
+
 MAP = "document.querySelector('.pool canvas').toDataURL()"
 
 

@@ -37,6 +37,7 @@ from tests.page.elements import answer, button, map_of, tile
 from tests.page.flights import PATIENCE_MS, serious
 from tests.page.lone_station import lone_station
 
+FRESH = StepTiming(board_age_ms=20.0)
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
 
@@ -234,7 +235,7 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         page.goto(f"{desk.url}?plots=tracking")
         page.get_by_label("Layouts of the plots").select_option("=mine")
         expect(page.get_by_label("What plot 3 shows")).to_have_value("state.board.loss")
-        desk.robots.publish(topics.STATE, RobotState(board=BoardReading(loss=0.25)), time.time_ns(), 1)
+        desk.robots.publish(topics.STATE, RobotState(board=BoardReading(loss=0.25), timing=FRESH), time.time_ns(), 1)
         expect(tile(page, 1)).to_contain_text("25 %")
         expect(tile(page, 1)).not_to_contain_text("thrust")  # it learns nothing
 

@@ -1212,6 +1212,30 @@ def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() 
     assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
 
 
+@pytest.mark.parametrize("after", ["test", "stop", "armed alone"])
+def test_a_failure_after_a_run_leaves_its_verdict(after: str) -> None:
+    run = MissionRun(automatic=False)
+    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    run.step(6.0)
+    assert run.at(MissionState.DONE)
+    ends = MissionState.FAILED
+    if after == "test":
+        assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+        run.robots[2].silent = True
+    else:
+        assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
+        run.step(0.5)
+        run.robots[2].silent = after == "stop"
+        assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    if after == "armed alone":
+        run.step(1.0)
+        run.robots[1].mode, ends = Mode.ARMED, MissionState.CANCELLED
+        assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(30.0)
+    assert run.at(ends)
+    assert run.mission.verdict is MissionState.DONE
+
+
 def test_hold_while_planning_leaves_out_a_robot_that_is_disarmed() -> None:
     """It was to be armed for the plan, and cannot hold."""
     run = three_running("go-on")
