@@ -173,10 +173,10 @@ class _Station:
         views = {robot: self.fleet.view(robot, LinkMonitor(), self.clock) for robot in self.fleet.states}
         return Status(MissionState.RUNNING, "", views=views)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = "") -> tuple[str, int]:
         return "", 0
 
-    def plan_form(self, form: str) -> PlanSegment:
+    def draft(self, order: Order, text: str) -> PlanSegment:
         raise PlanError("nothing is planned here")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:

@@ -373,6 +373,7 @@ class Station:
             led=self.single.status(),
             began_ns=mission.began_ns,
             flown=mission.plans.flown.name,
+            flown_s=mission.plans.flown.duration_s,
         )
 
     def _tell(self) -> None:

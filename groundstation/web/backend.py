@@ -31,7 +31,8 @@ class Status:
     requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
     ended: bool = False  # a person has ended the run
     beat_age_s: float = 0.0  # since the station's last cycle
-    flown: str = ""  # name of the experiment whose path is flown
+    flown: str = ""  # name of the experiment whose path is flown, and the path's duration
+    flown_s: float = 0.0
     began_ns: int = 0  # instant at which the formation's flight began: time 0 for people; 0: not known
     led: Mapping[int, str] = field(default_factory=dict)  # robots that a person leads one by one, and what they do
 

@@ -148,6 +148,7 @@ class LiveBackend:
                 ended=status.ended,
                 led=status.led,
                 flown=status.flown,
+                flown_s=status.flown_s,
                 pace=self._meter.add(now_s, time.monotonic()) if self._mode == "lockstep" else None,
             )
         )

@@ -71,7 +71,8 @@ class FleetSnapshot:
     requests: Sequence[Outcome] = ()
     ended: bool = False
     led: Mapping[int, str] = field(default_factory=dict)
-    flown: str = ""  # name of the experiment whose path is flown
+    flown: str = ""  # name of the experiment whose path is flown, and the path's duration
+    flown_s: float = 0.0
     pace: float | None = None  # simulated seconds per second, lately; None for a fleet that lives by the wall clock
 
 
@@ -95,6 +96,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "ended": news.ended,
         "pace": news.pace,
         "flown": news.flown,
+        "flown_s": news.flown_s,
         "led": [{"robot": robot, "text": text} for robot, text in news.led.items()],
         "robots": [_robot(robot, view) for robot, view in news.robots.items()],
     }

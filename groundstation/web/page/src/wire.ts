@@ -182,7 +182,8 @@ export interface Snapshot {
   requests: Outcome[]; // oldest first
   ended: boolean; // the run is over
   next?: "" | "again" | "edited" | "close"; // of an ended run: what a person has chosen
-  flown?: string; // name of the experiment whose path is flown
+  flown?: string; // name of the experiment whose path is flown, and the path's duration
+  flown_s?: number;
   led: { robot: number; text: string }[]; // robots that a person leads one by one
   localizer: (LocalizerStatus & { age_ms: number }) | null;
   obstacles: (Obstacles & { age_ms: number }) | null;

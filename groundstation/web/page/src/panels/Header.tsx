@@ -88,7 +88,7 @@ export function Header() {
           {ended.value ? waiting.value : connected.value ? recorded(state) + state.mission_text + paused(state) : "last known: " + state.mission_text}
         </span>
       )}
-      {s !== null && state !== null && <span class="clock" title="Since the formation's flight began, of what is planned">{flown(state)} / {clock(s.duration_s)}</span>}
+      {s !== null && state !== null && <span class="clock" title="Since the formation's flight began, of what is planned">{flown(state)} / {clock(state.flown_s || s.duration_s)}</span>}
       {connected.value && !ended.value && state !== null && <Pace pace={state.pace ?? null} />}
       <span class="gap" />
       <Link />
