@@ -47,7 +47,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "kernels": set(),
         "camera_model": {"kernels"},
         "detection": {"camera_model", "kernels"},
-        "sources": {"detection", "kernels"},
+        "sources": {"detection"},
         "tracking": {"camera_model", "detection", "kernels", "sources"},
         "view": {"camera_model", "detection", "sources", "tracking"},
         "calibration": {"camera_model", "detection", "sources", "view"},

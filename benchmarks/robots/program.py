@@ -84,7 +84,7 @@ def main(
     page = report.markdown(run, before)
     console.print(page, markup=False, highlight=False, soft_wrap=True)
     if write:
-        evidence.write(EVIDENCE, page, report.as_json(run))
+        evidence.write(EVIDENCE, report.markdown(run), report.as_json(run))
     if json_file is not None:
         evidence.write_json(json_file, report.as_json(run))
 

@@ -178,7 +178,7 @@ class PathWatch:
     def _stronger_force(self, step: _Step) -> str:
         """Evidence that a force is stronger than the robot; empty if none is."""
         estimate, off_m, now_ns = step.observation.estimate, step.off_m, step.now_ns
-        learned = estimate.thrust_ratio or 1.0
+        learned = 1.0 if estimate.thrust_ratio is None else estimate.thrust_ratio
         force = math.hypot(estimate.disturbance[0], estimate.disturbance[1]) / (self._thrust_mps2 * learned)
         self._moments.append(_Moment(now_ns, force, abs(step.control.wrench_delivered[0]) / self._thrust_n, off_m))
         while len(self._moments) > 2 and self._moments[1].at_ns <= now_ns - STRONGER_S * NS:

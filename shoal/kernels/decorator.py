@@ -42,15 +42,15 @@ listeners: list[Callable[[str, bool], None]] = []  # called when a kernel is rea
 
 
 @overload
-def kernel(form: F) -> F: ...
+def kernel(function: F) -> F: ...
 
 
 @overload
-def kernel(form: str | None = None, inline: bool = False, part: bool = False) -> Callable[[F], F]: ...
+def kernel(*, inline: bool = False, part: bool = False) -> Callable[[F], F]: ...
 
 
-def kernel(form: Any = None, inline: bool = False, part: bool = False) -> Any:
-    """Compile a function for the types of its annotations. (The older form names them: ``@kernel("void(f8[:,::1], f8)")``.)
+def kernel(function: Any = None, *, inline: bool = False, part: bool = False) -> Any:
+    """Compile a function for the types of its annotations.
 
     Compilation happens when the module is imported, never at a call; machine code is kept on disk (`shoal/kernels/cache.py`).
     The first kernel that is missing there has all kernels of its package compiled (`shoal/kernels/build.py`).
@@ -60,16 +60,16 @@ def kernel(form: Any = None, inline: bool = False, part: bool = False) -> Any:
     A kernel that is only a `part` of others is compiled with them, for its signature, and neither kept nor loaded by itself:
     half of a robot's kernels are, and each would take up to 3 MB more.
     """
-    if callable(form):
-        return _compiled(form, None, inline, part)
-    return lambda function: _compiled(function, form, inline, part)
+    if function is None:
+        return lambda decorated: _compiled(decorated, inline, part)
+    return _compiled(function, inline, part)
 
 
-def _compiled(function: F, named: str | None, inline: bool, part: bool) -> F:
+def _compiled(function: F, inline: bool, part: bool) -> F:
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    signature = named or signature_of(function)
-    compiled_for = named or ", ".join(map(record_content, get_type_hints(function, include_extras=True).values()))
+    signature = signature_of(function)
+    compiled_for = ", ".join(map(record_content, get_type_hints(function, include_extras=True).values()))
     stamps[function] = stamp_of(function, f"{compiled_for} {inline}", stamps)
     dispatcher: Any = numba.njit(forceinline=inline, **OPTIONS)(function)
     file = KernelFile(function)
@@ -81,7 +81,7 @@ def _compiled(function: F, named: str | None, inline: bool, part: bool) -> F:
         dispatcher.disable_compile()
     for listener in listeners:
         listener(file.name, file.was_missing)
-    return cast(F, dispatcher if named else Kernel(function, dispatcher, signature))
+    return cast(F, Kernel(function, dispatcher, signature))
 
 
 class Kernel:

@@ -32,8 +32,10 @@ def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str
         s.mode is Mode.TRACKING and required(s.control).solve is Solve.SOLVED for states in flown_.states for s in states
     )
     assert np.all(np.abs(wrench) <= limit) and np.all(np.abs(change) <= step + 1e-12)
-    # 0.09 m by the laws that plan ahead; laws on the present error alone lag in the current, sliding-mode most, by 0.155 m
-    assert np.abs(flown_.error[400:, :, :3]).max() < (0.12 if law in ("eso-mpc-article", "nmpc") else 0.16)
+    # 35 to 55 mm, behind a trajectory that goes on; 0.09 m by the MPCs, which start without haste, and 0.14 m while a model is
+    # being learned
+    most_m = {"eso-mpc-article": 0.12, "nmpc": 0.12, "adaptive-nn": 0.15}
+    assert np.abs(flown_.error[400:, :, :3]).max() < most_m.get(law, 0.06)
     np.testing.assert_allclose(np.diff(wrench, axis=1), change[:, 1:], atol=1e-12)
     if law in ("eso-mpc-article", "nmpc"):  # they know their limits
         np.testing.assert_array_equal(wanted, wrench)

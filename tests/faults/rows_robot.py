@@ -117,8 +117,8 @@ def link_garbage(rig: Rig, random: Random) -> Sample:
     wire.trouble = LineTrouble()
     ns = time.monotonic_ns()
     rig.wait(lambda: any(at > ns for at, _ in board.taken[-5:]), "board takes overrides again", 5.0)
-    rig.wait(lambda: any(h.state.timing.board_age_ms < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
-    heard_ns = next(h.ns for h in rig.since(robot, ns) if h.state.timing.board_age_ms < 40.0)
+    rig.wait(lambda: any(required(h.state.timing.board_age_ms) < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
+    heard_ns = next(h.ns for h in rig.since(robot, ns) if required(h.state.timing.board_age_ms) < 40.0)
     return {
         "board in step again": (next(at for at, _ in board.taken if at > ns) - ns) * 1e-9,
         "agent in step again": (heard_ns - ns) * 1e-9,

@@ -18,12 +18,12 @@ from shoal.kernels.decorator import kernel
 
 NEVER_IN_THE_CACHE = %d
 
-@kernel("f8(f8)", part=True)
-def half(x):
+@kernel(part=True)
+def half(x: float) -> float:
     return x / 2.0 + 0.0 * NEVER_IN_THE_CACHE
 
-@kernel("f8(i8)")
-def quarter(x):
+@kernel
+def quarter(x: int) -> float:
     return half(x) / 2.0
 """
 
@@ -41,10 +41,9 @@ def _kernels(tree: ast.Module) -> list[tuple[ast.FunctionDef, ast.expr]]:
 
 def _offences(tree: ast.Module) -> Iterator[str]:
     """Breaches of the rules of the decorator. (That a kernel calls only kernels, its stamp refuses at the import.)"""
-    for function, mark in _kernels(tree):
-        is_named = isinstance(mark, ast.Call) and bool(mark.args)  # the older form: Numba reads it at the import
+    for function, _ in _kernels(tree):
         parameters = function.args.args
-        if not is_named and not (function.returns and all(parameter.annotation for parameter in parameters)):
+        if not (function.returns and all(parameter.annotation for parameter in parameters)):
             yield f"{function.name}: no types"
         if ast.get_docstring(function) is None:
             yield f"{function.name}: no docstring"
@@ -65,8 +64,8 @@ def a(x):
     "Doc."
     return other(x)
 
-@kernel("f8(f8)")
-def b(x):
+@kernel
+def b(x: float) -> float:
     raise ValueError
 """
     assert len(list(_offences(ast.parse(offender)))) == 3  # no types; no docstring, raise
@@ -121,6 +120,6 @@ def test_a_part_is_compiled_for_its_own_signature_and_not_loaded_again(tmp_path:
         assert spec is not None and spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        assert [str(of) for of in module.half.overloads] == ["(float64,)"] * has_compiled
+        assert [str(of) for of in module.half.dispatcher.overloads] == ["(float64,)"] * has_compiled
         assert module.quarter(3) == 0.75
     assert module.half(3.0) == 1.5  # a test may call it

@@ -50,8 +50,8 @@ def moved(body: Rows, by: Pair, turns: bool) -> tuple[Pair, float]:
     return (Pair(-total.across, total.along) if turns else total), math.sqrt(body.mass.along)
 
 
-@kernel("f8(f8, f8)")
-def of_the_older_form(a: float, b: float) -> float:
+@kernel
+def of_numbers(a: float, b: float) -> float:
     """Calls a kernel with records."""
     return scaled(Pair(a, b), 3.0).across
 
@@ -69,7 +69,7 @@ def test_records_go_in_and_come_out() -> None:
     turned, root = moved(BODY, Pair(np.float64(0.5), 0.25), TRUE)
     assert (turned, root) == (Pair(-6.5, 5.0), 2.0)
     assert type(turned) is Pair
-    assert of_the_older_form(1.0, 2.0) == 6.0
+    assert of_numbers(1.0, 2.0) == 6.0
     assert scaled(BY, 2) == Pair(1.0, 0.5)  # a part can be called by itself
 
 
