@@ -13,7 +13,7 @@ from sim_bridge.fault_schedule import ImuFaults
 from sim_bridge.node.hil_board import HilBoard
 from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.closed_loop.dry_pool import DryPool, MakeBoard
-from tests.closed_loop.test_hil import HilDesk, MegaDesk
+from tests.closed_loop.hil_desks import HilDesk, MegaDesk
 
 pytestmark = pytest.mark.long
 

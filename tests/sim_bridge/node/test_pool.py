@@ -56,7 +56,7 @@ def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
 
 
 @pytest.mark.timeout(60)
-def test_what_a_person_breaks_is_told_in_words_that_repeat_it(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_of_a_person_is_told_in_words_that_repeat_it(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """By the log's lines, as `sim-bridge sil --from` takes them."""
     caplog.set_level(logging.INFO, "shoal")
     experiment, lines = load_experiment("pool", ["sim.latency_s=0", ROBOT]), list[str]()
