@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests import skipped
 
 ROOT = Path(__file__).parents[1]
@@ -23,6 +25,7 @@ def test_root():
 """
 
 
+@pytest.mark.long
 def test_processes_leave_their_reasons_and_the_end_tells_them_once_with_one_command(tmp_path: Path) -> None:
     """Also where xdist runs them; and a process that nobody collects from tells its own."""
     (tmp_path / "noted").mkdir()

@@ -1,5 +1,7 @@
-"""Sensors of the Mega in simavr that are absent, asleep, stuck, late or wrong, lose their supply or hold the bus: nothing
-untrue is sent, the rules keep their bounds, and a sensor that is whole again measures again."""
+"""The Mega sends nothing untrue and keeps its rules while sensors in simavr are absent, asleep, stuck, late or wrong.
+
+Also while they lose their supply or hold the bus; and a sensor that is whole again measures again.
+"""
 
 import math
 from collections.abc import Callable, Iterator

@@ -97,6 +97,7 @@ class OrderSender:
         self.stamp += 10
 
 
+@pytest.mark.long
 def test_an_order_is_not_obeyed_before_its_timestamp_is_kept(library: ctypes.CDLL, keyed: bytes) -> None:
     """At each phase of a write of older timestamps the board is armed, its power fails, and all is said again."""
     armed = 0

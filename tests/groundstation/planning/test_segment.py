@@ -99,6 +99,7 @@ def test_two_replans_in_a_row_and_one_to_a_requested_place() -> None:
     assert np.hypot(*(again.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01  # the person's place still counts
 
 
+@pytest.mark.long
 def test_no_way_round_is_refused_with_the_reason() -> None:
     wall = np.array([[1.0, y, 0.3] for y in np.arange(-4.0, 4.1, 0.5)])
     segment = first_segment(BLOCKED)

@@ -114,6 +114,7 @@ def test_from_pictures_to_an_experiment(
     assert head.startswith("# Found by `localizer calibrate`, 20") and " views, RMS " in head and "9 points" in head
 
 
+@pytest.mark.long
 def test_a_hung_up_camera_keeps_its_lens(
     lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -259,6 +260,7 @@ def test_a_lens_that_explains_nothing_is_not_written(
     assert "found in 1 pictures" in capsys.readouterr().err and not out.exists()
 
 
+@pytest.mark.long
 def test_a_lens_that_is_warned_of_is_written_with_force_only(
     lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -312,6 +314,7 @@ def test_file_that_would_be_lost_is_not_written_over(
         assert out.read_text(encoding="utf-8") == text and len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.long
 def test_a_full_disk_leaves_the_old_file(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither the new camera without its picture, nor the new picture beside the old camera."""
     (tmp_path / "lens.toml").write_text(tomli_w.dumps({"camera": TRUTH.model_dump(mode="json")}), encoding="utf-8")

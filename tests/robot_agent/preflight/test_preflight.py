@@ -41,7 +41,7 @@ from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.thruster_board.sensor_zero import BoardStart
 from tests.robot_agent import obedient_board
 from tests.robot_agent.autopilot import Autopilot
-from tests.robot_agent.host.test_zero_request import DEEP, RESTARTED, STILL, RestartedBoard
+from tests.robot_agent.host.restarted_board import DEEP, RESTARTED, STILL, RestartedBoard
 from tests.shoal.mavlink.resetting_board import ResettingBoard
 
 pytestmark = pytest.mark.real_time

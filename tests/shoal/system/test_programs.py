@@ -46,6 +46,7 @@ def test_a_child_runs_its_parents_code_and_not_another_checkout(tmp_path: Path) 
     assert done.stdout.strip() == "of the second checkout"
 
 
+@pytest.mark.long
 def test_parent_and_child_speak_utf8_whatever_the_locale(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
     missing = tmp_path / "Wel\N{LATIN SMALL LETTER O WITH DIAERESIS} \N{EN DASH}"

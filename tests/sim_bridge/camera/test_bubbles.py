@@ -32,6 +32,7 @@ def added(streams: int, time_s: float, eta: Array = ETA) -> Array:
     return bubbled - plain
 
 
+@pytest.mark.long
 def test_off_by_default_and_a_setting_is_a_fault_from_the_start() -> None:
     assert experiment().sim.picture.bubbles == 0
     assert np.array_equal(

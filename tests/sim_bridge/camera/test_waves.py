@@ -57,6 +57,7 @@ def test_lines_of_sight_are_bent_by_the_wave_as_snells_law_says() -> None:
     assert largest > 0.008
 
 
+@pytest.mark.long
 def test_a_wave_moves_a_robot_in_the_picture_and_nothing_else_does() -> None:
     eta = np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 0.0]])
     calm, rough = Renderer(load_experiment("pool"), 1), Renderer(load_experiment("pool", [WAVES]), 1)
@@ -88,6 +89,7 @@ def test_a_pressure_sensor_measures_the_wave() -> None:
     assert depths[1] == pytest.approx([wave, -wave])
 
 
+@pytest.mark.long
 def test_errors_of_the_calibration_are_a_camera_that_is_elsewhere() -> None:
     """Bit by bit the picture of an experiment whose own keys have these values."""
     eta, plain = np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 0.0]]), load_experiment("pool")

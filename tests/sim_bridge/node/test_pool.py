@@ -130,6 +130,7 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
     assert all(water_ns - passed_ns <= 2 * 5_000_000 for water_ns, passed_ns in steps)
 
 
+@pytest.mark.long
 def test_faults_count_from_the_formations_start_and_not_from_a_lone_flight() -> None:
     """Robot 1 was sent somewhere alone, 5 s ago. Later the formation has flown for 0.5 s."""
     experiment = load_experiment("pool", [ROBOT, 'sim.faults=[{at_s=1.0,what="battery 1 sag 1"}]'])
@@ -179,6 +180,7 @@ class EndlessPorts(UdpPorts):
         self.woken += 1
 
 
+@pytest.mark.long
 def test_a_second_simulator_in_a_fleet_waits_and_simulates_nothing(address: str, tmp_path: Path) -> None:
     """Else two worlds would say by turns where the robots are."""
     log, run = (

@@ -90,6 +90,7 @@ report.write_report = broken
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("earlier", [None, '{"passed": true}'])
 def test_a_report_that_ends_with_an_error_is_none(
     earlier: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -105,6 +106,7 @@ def test_a_report_that_ends_with_an_error_is_none(
     assert "no report: Traceback" in (text := console.export_text()) and "MemoryError: on purpose" in text
 
 
+@pytest.mark.long
 def test_a_key_ring_of_the_environment_does_not_keep_one_process_from_flying(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SHOAL_KEYS", "keys")
     words = ["sil", "pool", "--lockstep", "--one-process", "--no-web", "--dry-run"]
