@@ -135,6 +135,28 @@ def test_of_more_texts_than_find_room_the_newest_are_kept(library: ctypes.CDLL) 
     assert board.state()[:3] == (True, 0, 0) and [board.value(name) for name in PARAMETERS.index] == list(PARAMETERS.values)
 
 
+def test_the_first_step_moves_nothing_as_no_time_has_passed(library: ctypes.CDLL) -> None:
+    board = FirmwareBoard(library)
+    board.override(COMPUTER, (1500,) * 8, 10**9)
+    assert board.arm(True, 10**9) == 0
+    board.override(COMPUTER, (1900,) * 8, 10**9)
+    board.step_rules(10**9)
+    assert board.pulses[:4] == (1500,) * 4
+    board.step_rules(10**9 + 5_000_000)
+    assert board.pulses[:4] != (1500,) * 4
+
+
+def test_a_voltage_at_a_level_is_not_below_it(library: ctypes.CDLL) -> None:
+    machine, board = BoardStateMachine(PARAMETERS, COMPUTER), FirmwareBoard(library)
+    for name, value in (("BAT_NEUTRAL_V", 8.0), ("BAT_NOARM_V", 9.0), ("BAT_WARN_V", 10.0), ("BAT_HYST_V", 0.5)):
+        assert board.change(PARAMETERS.index[name], value) == 0  # exact in single precision
+        assert machine.change(name, value) is None
+    for voltage_v, charge in ((10.0, 0), (9.75, 1), (10.25, 1), (10.5, 0), (9.0, 1), (8.75, 2), (9.5, 1)):
+        for taken in (board.battery, machine.battery):
+            taken(voltage_v, 1000.0)  # the filter has forgotten all before
+        assert board.state()[1] == charge == machine.charge, voltage_v
+
+
 PUSHING = {  # changes that are taken, and the one after them that would have a disarmed board push
     "fewer thrusters than the vehicle's": [("THR_COUNT", 3.0)],
     "neutral ahead": [("THR_NEUTRAL_US", 1890.0)],
