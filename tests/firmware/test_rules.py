@@ -7,6 +7,7 @@ import random
 import pytest
 
 from shoal.mavlink.agent_link import IGNORED
+from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
 from sim_bridge.thruster_board.parameters import FIXED, VOLATILE, Refusal
 from sim_bridge.thruster_board.state_machine import BoardStateMachine
@@ -123,7 +124,7 @@ def test_random_calls_have_the_outputs_of_the_reference(library: ctypes.CDLL) ->
 
 
 def test_of_more_texts_than_find_room_the_newest_are_kept(library: ctypes.CDLL) -> None:
-    board = FirmwareBoard(library)
+    board, client = FirmwareBoard(library, KEY), ParameterClient(1, KEY, lambda: 1000)
     for _ in range(5):
         board.arm(True, 0)
     board.override(COMPUTER, (1500,) * 8, 0)
@@ -133,6 +134,9 @@ def test_of_more_texts_than_find_room_the_newest_are_kept(library: ctypes.CDLL) 
     texts = [text for _, text in board.texts()]
     assert texts == ["not armed: no override is arriving"] * 3 + ["armed", "disarmed", "armed"]
     assert board.state()[:3] == (True, 0, 0) and [board.value(name) for name in PARAMETERS.index] == list(PARAMETERS.values)
+    assert board.receive(client.ask("SLEW_US_S"), 10**9)  # the link's state, behind the texts, is as it was
+    client.receive(board.step(10**9), 10**9)
+    assert client.values["SLEW_US_S"] == PARAMETERS["SLEW_US_S"]
 
 
 def test_the_first_step_moves_nothing_as_no_time_has_passed(library: ctypes.CDLL) -> None:
