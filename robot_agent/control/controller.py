@@ -28,10 +28,11 @@ import numpy as np
 from robot_agent.control.heading import HeadingReference
 from robot_agent.control.law import Law, heading_gain, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
+from robot_agent.control.nonlinear.course import KEEP_TURN
 from robot_agent.control.nonlinear.tuning import agility
 from robot_agent.guidance.formation import NOWHERE, Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle
-from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate
+from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate, is_other_goal
 from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
@@ -39,12 +40,10 @@ from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
 from shoal.config.controller import ControllerConfig, Safety
 from shoal.config.vehicle import Vehicle
-from shoal.frames import Array
+from shoal.frames import TURN, Array
 from shoal.messages.messages import Control, Estimate, Solve, is_finite
 
 NS = 1_000_000_000
-KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step
-TURN = 2.0 * np.pi
 
 
 class ControlOutput(NamedTuple):
@@ -174,7 +173,7 @@ class Controller:
     def _take_up(self, goal: Goal) -> None:
         """Clear the heading memory at a goal of another kind."""
         before, self.goal = self.goal, goal
-        if type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal):
+        if is_other_goal(before, goal):
             self._heading.reset()
             self._give_way.reset()
             self._turns = None

@@ -6,7 +6,8 @@ The robot has no side force, so its heading is the direction in which it can pus
 
 Of Gamma only the side force counts on a path, where surge thrust compensates the rest; all of it counts while the robot keeps
 station, so that in a current it ends up in line with it. The opposite heading is as good, because thrust reverses: at rest the
-nearer one is taken, on a path the one ahead. F is filtered, and where it is small it turns no robot, because of noise.
+nearer one is taken, on a path the one ahead. F is filtered, and where it is small it turns no robot, because of noise. Where
+drag alone needs more force than noise makes, an error turns the robot less: there kp is larger.
 
 The article keeps the path's tangent, and never corrects a lateral error at walking pace. It has this heading only away from
 its path: on HOLD, and on a way around others.
@@ -22,6 +23,7 @@ from shoal.frames import wrap
 
 FILTER_S = 1.0  # twice as long overshoots by 4 cm
 WORTH_N = 0.02  # forces well below are not worth a turn
+LOUD_N, QUICKER = 0.2, 1.6  # beside a drag well above, ten times what noise makes, errors fade so many times as fast
 DAMPING = 0.9
 PATH_RADPS, HOLD_RADPS = 0.8, 0.3  # fastest turns: at 1.2 rad/s a robot kept spinning on the side force of its own spin
 
@@ -54,8 +56,10 @@ class HeadingReference:
         surge, sway, *_ = estimate.disturbance.tolist()
         unknown = ahead * complex(surge if is_resting else 0.0, sway)
         through = velocity - estimate.current
-        force = mass * (complex(x_mps2, y_mps2) + self._stiff_per_s2 * off_m + self._damp_per_s * off_mps - unknown)
-        force += (linear + quadratic * abs(through)) * through
+        force = (linear + quadratic * abs(through)) * through
+        pace = 1.0 + (QUICKER - 1.0) * abs(force) ** 2 / (abs(force) ** 2 + LOUD_N**2)
+        feedback = pace**2 * self._stiff_per_s2 * off_m + pace * self._damp_per_s * off_mps
+        force += mass * (complex(x_mps2, y_mps2) + feedback - unknown)
         back = cmath.rect(1.0, -yaw)  # what feeds back in a bend turns with it
         self._force_n += -math.expm1(-self._period_s / FILTER_S) * (back * force - self._force_n)
         size = abs(self._force_n) ** 4

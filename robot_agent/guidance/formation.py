@@ -72,6 +72,17 @@ def sample_plan(plan: PlanRows, at_s: Floats, most_m: float, pose: Table, deviat
                 deviation[k, c] *= most_m / off_m
 
 
+@kernel
+def now_and_meant(plan: PlanRows, age_s: float) -> tuple[complex, float, complex]:
+    """Place and depth that a plan has now, and the velocity that its robot means to have."""
+    last, eta, track = len(plan.eta) - 1, plan.eta, plan.reference
+    now = int(min(max(np.rint(age_s / plan.period_s), 0.0), float(last)))
+    then = min(now + int(max(np.rint(MEANT_S / plan.period_s), 1.0)), last)
+    span_s = plan.period_s * max(then - now, 1)
+    velocity = complex((track[then, 0] - track[now, 0]) / span_s, (track[then, 1] - track[now, 1]) / span_s)
+    return complex(eta[now, 0], eta[now, 1]), eta[now, 2], velocity
+
+
 class Neighbour(NamedTuple):
     """Another robot's last plan. Fresh plans count for the formation; stale ones only keep a growing distance."""
 
@@ -113,6 +124,8 @@ class HalfSpaces:
 
     def binds(self, eta: Array) -> bool:
         """True if a plan (horizon + 1, 4) comes within LEANS_M of the border of a half-space, or crosses it."""
+        if not len(self.node):
+            return False
         along = eta[self.node, 0] * self.normal.real + eta[self.node, 1] * self.normal.imag
         return bool((along < self.offset + LEANS_M).any())
 
@@ -164,19 +177,20 @@ class Formation:
             return self._nobody
         plans = [PlanRows(np.array(n.plan.eta), np.array(n.plan.eta_reference), n.plan.period_s) for n in neighbours]
         used = [(n, plan) for n, plan in zip(neighbours, plans, strict=True) if are_poses(plan)]
+        if not used:
+            return self._nobody
         count, nodes = len(used), len(self._nodes_s)
         pose, deviation, total, members = np.empty((count, nodes, 4)), np.empty((nodes, 4)), np.zeros((nodes, 4)), 0
-        now = [_now_and_meant(plan, (now_ns - n.stamp_ns) / NS) for n, plan in used]
+        place, depth, velocity = zip(*(now_and_meant(plan, (now_ns - n.stamp_ns) / NS) for n, plan in used), strict=True)
         for i, (neighbour, plan) in enumerate(used):
             at_s = self._nodes_s + (now_ns - neighbour.stamp_ns) / NS
             sample_plan(plan, at_s, self._most_m, pose[i], deviation)
             if neighbour.fresh and neighbour.formation:
                 total += deviation
                 members += 1
-        place, depth, velocity = (np.array([part[i] for part in now]) for i in range(3))
         return NeighbourPredictions(
-            [n for n, _ in used], pose, total, members, place.astype(np.complex128), depth.astype(np.float64),
-            velocity.astype(np.complex128),
+            [n for n, _ in used], pose, total, members, np.array(place, np.complex128), np.array(depth, np.float64),
+            np.array(velocity, np.complex128),
         )  # fmt: skip
 
     def pull(self, predictions: NeighbourPredictions, own: Array) -> tuple[Array, Array] | None:
@@ -217,22 +231,20 @@ class Formation:
     def half_spaces(self, predictions: NeighbourPredictions, own: Array, rank: Priority, now_ns: int) -> HalfSpaces:
         """Half-spaces across the lines from the predicted places of robots that come close to ours (A6), for a robot whose
         pose is `own` (4,): n = (own - place) / |own - place|, n . (x, y) >= n . place + distance to keep."""
-        place, near_m, rows = complex(*own[:2].tolist()), 2.0 * self._safety.radius_m + self._safety.margin_m, []
-        poses = predictions.pose[:, self._near]
-        near = np.hypot(poses[:, :, 0] - place.real, poses[:, :, 1] - place.imag) < near_m + self._safety.bubble_max_m
-        if not near.any():
+        if not predictions.neighbours:
             return NOWHERE
-        for neighbour, pose in zip(predictions.neighbours, poses, strict=True):
-            keep_m = self.required_clearance_m(neighbour, rank, now_ns)
-            if keep_m is None:
+        place, rows, poses = complex(*own[:2].tolist()), [], predictions.pose[:, self._near]
+        away = place - poses[:, :, 0] - 1j * poses[:, :, 1]
+        apart_m = np.abs(away)
+        for i, nearest_m in enumerate(apart_m.min(axis=1).tolist()):
+            keep_m = self.required_clearance_m(predictions.neighbours[i], rank, now_ns)
+            if keep_m is None or nearest_m >= keep_m + self._safety.margin_m:
                 continue
-            there = pose[:, 0] + 1j * pose[:, 1]
-            away, apart_m = place - there, np.abs(place - there)
-            if not ((np.abs(own[2] - pose[:, 2]) < keep_m) & (apart_m < keep_m + self._safety.margin_m)).any():
+            if not ((np.abs(own[2] - poses[i, :, 2]) < keep_m) & (apart_m[i] < keep_m + self._safety.margin_m)).any():
                 continue
             # on top of one another any direction leads out
-            normal = np.where(apart_m >= TOUCHING_M, away / np.maximum(apart_m, TOUCHING_M), 1.0)
-            rows.append((float(apart_m.min()) - keep_m, normal, (normal * there.conj()).real + keep_m))
+            normal = np.where(apart_m[i] >= TOUCHING_M, away[i] / np.maximum(apart_m[i], TOUCHING_M), 1.0)
+            rows.append((nearest_m - keep_m, normal, (normal * (place - away[i]).conj()).real + keep_m))
         if not rows:
             return NOWHERE
         if len(rows) > NEAREST:  # their order is kept: the solver goes on from the rows that were active
@@ -240,13 +252,3 @@ class Formation:
             rows = [body for body in rows if body[0] <= farthest_m][:NEAREST]
         _, normals, offsets = zip(*rows, strict=True)
         return HalfSpaces(np.tile(self._near, len(rows)), np.concatenate(normals), np.concatenate(offsets))
-
-
-def _now_and_meant(plan: PlanRows, age_s: float) -> tuple[complex, float, complex]:
-    """Place and depth that a plan has now, and the velocity that its robot means to have."""
-    last, period_s, track = len(plan.eta) - 1, plan.period_s, plan.reference
-    now = int(min(max(round(age_s / period_s), 0), last))
-    then = min(now + max(round(MEANT_S / period_s), 1), last)
-    span_s = period_s * max(then - now, 1)
-    x_mps, y_mps = ((track.item(then, c) - track.item(now, c)) / span_s for c in range(2))
-    return complex(plan.eta.item(now, 0), plan.eta.item(now, 1)), plan.eta.item(now, 2), complex(x_mps, y_mps)

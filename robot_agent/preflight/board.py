@@ -148,15 +148,15 @@ def read_telemetry(config: AgentConfig) -> tuple[Telemetry, str]:
                 if telemetry.battery_reports and telemetry.heartbeats and judged:
                     break
         if telemetry is None:
-            why = wires.trouble or _others(mavlink.telemetry, config.robot)
+            why = wires.trouble or _foreign_frames(mavlink.telemetry, config.robot)
             raise ConfigError(f"{config.link}: silent for {within_s:g} s{why and '; '}{why}")
         return telemetry, wires.advice
     finally:
         wires.close()
 
 
-def _others(telemetry: Telemetry, robot: int) -> str:
-    """Text about the frames that came instead of the board's own; empty if there were none."""
+def _foreign_frames(telemetry: Telemetry, robot: int) -> str:
+    """Text about frames that came where the board's own were expected: whose they are; empty if none came."""
     if telemetry.forged_frames:
         return "what comes is signed with another key, or there is no link_key"
     if telemetry.unsigned_frames:

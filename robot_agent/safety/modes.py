@@ -4,6 +4,7 @@ ORDERS lists the modes in which each command is accepted. REACTIONS lists the ro
 of them leads back to thrust. `robot-agent modes` prints both for docs/reference/modes.md.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -175,14 +176,17 @@ def table() -> str:
             if mode in transition.accepted_in and transition.to not in (None, mode) and order is not Order.STOP:
                 assert transition.to is not None
                 lines.append(f"    {mode.name} --> {transition.to.name}: {order.name}")
-    lines += ["```", "", "| Order | accepted when | leads to |", "| --- | --- | --- |"]
+    lines += ["```", "", "| Command | accepted when | leads to |", "| --- | --- | --- |"]
     for order, transition in ORDERS.items():
-        accepted = "any mode" if transition.accepted_in == ANY else _names(transition.accepted_in)
+        accepted = _names(transition.accepted_in)
         lines.append(f"| {order.name} | {accepted} | {transition.to.name if transition.to is not None else 'same mode'} |")
-    lines += ["", "| By itself, first match first | when | leads to |", "| --- | --- | --- |"]
-    lines += [f"| {r.reason} | {_names(r.modes)} | {r.to.name} |" for r in REACTIONS]
+    lines += ["", f"*With thrust*: {', '.join(m.name for m in Mode if m in POWERED)}. *Live*: these and ARMED.", ""]
+    lines += ["| By itself, first match first | when | leads to |", "| --- | --- | --- |"]
+    for (modes, to), reactions in itertools.groupby(REACTIONS, key=lambda r: (r.modes, r.to)):
+        lines.append(f"| {'; '.join(r.reason for r in reactions)} | {_names(modes)} | {to.name} |")
     return "\n".join(lines) + "\n"
 
 
 def _names(modes: frozenset[Mode]) -> str:
-    return ", ".join(m.name for m in Mode if m in modes)
+    groups = {ANY: "any", ANY - {Mode.STOPPED}: "any but STOPPED", LIVE: "live", POWERED: "with thrust"}
+    return groups.get(modes) or ", ".join(m.name for m in Mode if m in modes)

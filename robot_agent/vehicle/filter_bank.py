@@ -3,9 +3,11 @@
 Errors (ERRORS) of the belief, in this order:
 
     x, y, yaw | u, v, r through the water | b_u, b_v, b_r: accelerations by forces of the robot, which turn along with it
-    c_x, c_y: current, fixed in the pool | ln of drag, thrust, yaw moment per mass over the vehicle file's | gyroscope's bias
+    c_x, c_y: current, fixed in the pool | gyroscope's bias
+    ln of drag, thrust, yaw moment, yaw drag per mass or inertia over the vehicle file's
 
-The belief moves by the model (dynamics.py), with mass m / t, drag d / t and inertia I / n. Its errors e have covariance P:
+The belief moves by the model (dynamics.py), with mass m / t, drag d / t, inertia I / n and yaw drag a / n. Its errors e have
+covariance P:
 
     P <- F P F' + Q dt      F: derivative of the model's step            predict
     e <- e + K (z - H e)    K = P H' / (H P H' + R)    P <- P - K H P     correct, one number after the other
@@ -17,7 +19,8 @@ Blom and Bar-Shalom 1988). All share belief and F; the mean of their errors goes
 whole is that of the mixture. One more filter has forces that change quickly: a cable, a broken thruster.
 
 Drag and current are one direction on a straight path. There drag is considered and not learned (Schmidt): it keeps its
-variance, and that of the others counts it.
+variance, and that of the others counts it. So it is in the filters of restless water, on any path. The filter of still water
+learns it whatever its weight is: a wrong drag looks like restless water, until that filter has learned.
 """
 
 import math
@@ -27,10 +30,10 @@ from robot_agent.vehicle.dynamics import phi_dt
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Cube, Floats, Table
 
-ERRORS = 15
-X, Y, YAW, U, V, R, FORCE_U, FORCE_V, FORCE_R, CURRENT_X, CURRENT_Y, DRAG, THRUST, MOMENT, GYRO = range(ERRORS)
-NUMBERS = 22  # of the belief: state 11, own forces 4, current 2, ln of drag, thrust, moment, gyroscope's bias, side thrust
-ACTING, SIDE = 8, 21  # of the belief: thrust that acts now: surge, heave, yaw; and sway
+ERRORS = 16
+X, Y, YAW, U, V, R, FORCE_U, FORCE_V, FORCE_R, CURRENT_X, CURRENT_Y, GYRO, DRAG, THRUST, MOMENT, TURN_DRAG = range(ERRORS)
+NUMBERS = 23  # of the belief: state 11, own forces 4, current 2, the four ln, gyroscope's bias, side thrust
+ACTING, LN, BIAS, SIDE = 8, 17, 21, 22  # of the belief: thrust that acts now: surge, heave, yaw; and sway: last, as in eso.py
 LEAST_WEIGHT = 1e-6  # of a filter: it comes back within a second when the water turns out to be as it says
 
 
@@ -48,6 +51,7 @@ class Noise(NamedTuple):
     arm_m: float  # unlike thrusters turn the robot as they push
     ratio_per_s: float  # variance by which drag, thrust and moment per mass wander in a second
     bias_per_s: float  # (rad/s)^2: the same for the gyroscope's bias
+    calm_m2ps3: float  # filters that take water and forces for no more restless learn drag
     hand_m2ps3: float  # intensity of a hand that holds a robot without thrust,
     hand_rad2ps3: float  # and turns it
 
@@ -98,6 +102,7 @@ def linearise(model: Table, sway: float, belief: Floats, dt: float, noise: Noise
     munk = (m_u - m_v) * u * v  # grows with the masses that are learned, 1 / t
     f[R, R], f[R, FORCE_R], f[R, MOMENT] = 1.0 - phi_r * slope_r, phi_r, phi_r * (belief[ACTING + 2] + munk) / m_r
     f[R, U], f[R, V], f[R, THRUST] = phi_r * (m_u - m_v) * v / m_r, phi_r * (m_u - m_v) * u / m_r, -phi_r * munk / m_r
+    f[R, TURN_DRAG] = -phi_r * around * r
     f[FORCE_U, FORCE_U] = f[FORCE_V, FORCE_V] = f[FORCE_R, FORCE_R] = math.exp(-dt / noise.lasts_s)
     cos, sin = math.cos(yaw), math.sin(yaw)
     for j in range(U, ERRORS):  # half of the way by the velocity before, half by that after
@@ -133,7 +138,7 @@ def diffuse(model: Table, sway: float, belief: Floats, dt: float, noise: Noise, 
     q[FORCE_U] = 2.0 * dt / noise.lasts_s * (noise.idle_mps2**2 + lasting2 * along2)
     q[FORCE_V] = sway * 2.0 * dt / noise.lasts_s * (noise.rounding_mps2**2 + lasting2 * along2)
     q[FORCE_R] = 2.0 * dt / noise.lasts_s * (noise.idle_radps2**2 + lasting2 * around2)
-    q[DRAG] = q[THRUST] = q[MOMENT] = noise.ratio_per_s * dt
+    q[DRAG] = q[THRUST] = q[MOMENT] = q[TURN_DRAG] = noise.ratio_per_s * dt
     q[GYRO] = noise.bias_per_s * dt
     if is_held:
         q[U] += noise.hand_m2ps3 * dt

@@ -28,6 +28,7 @@ from robot_agent.vehicle.eso import (
 from robot_agent.vehicle.estimate import Deviations, Observation, PoseMeasurement, Ratios, StateMeasurement
 from robot_agent.vehicle.filter_bank import (
     ACTING,
+    BIAS,
     CURRENT_X,
     CURRENT_Y,
     DRAG,
@@ -36,10 +37,9 @@ from robot_agent.vehicle.filter_bank import (
     FORCE_U,
     FORCE_V,
     GYRO,
-    MOMENT,
+    LN,
     NUMBERS,
     SIDE,
-    THRUST,
     YAW,
     Bank,
     MeasuredNumber,
@@ -67,14 +67,14 @@ KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of 
     (1e-7, 0.5, 1.0),  # a basin at rest: 1 mm/s within 10 s
     (1e-5, 0.0, 1.0),  # with time, 1 cm/s,
     (6e-5, 0.0, 1.0),  # 2.5 cm/s,
-    (4e-4, 0.0, 1.0),  # and 6 cm/s within 10 s: gusts, waves
+    (4e-4, 0.0, 1.0),  # and 6 cm/s within 10 s: gusts, waves. 2e-3 beside it: under a sinusoidal force 40 % farther off
     (3e-5, 1.0, 1.0),  # from place to place
     (1.2e-4, 1.0, 1.0),
     (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
 )
 KIND_LASTS_S = 1000.0  # water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
-CALM = 0.5  # and only if so much of the weight says that water and forces are at rest
+CALM_M2PS3 = 1e-6  # of water times forces, as in KINDS: filters that assume more do not learn drag
 SHARE, PASSES_S = 0.03, 0.1  # of thrust and drag: what comes and goes, for so long. NEES of the grid is near 1 with it
 LASTING_SHARE, LASTS_S = 0.03, 10.0  # of thrust and drag: what lasts, as a cable or unlike thrusters do
 RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in a second: 4 % in a minute
@@ -84,8 +84,10 @@ OUTLIER = 5.0  # standard deviations: a pose that is farther off counts less
 BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
 GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
-RATIOS = (0.15, 0.3, 0.3)  # standard deviations of drag, thrust and moment per mass at first, relative to the vehicle file's
-MOST_LOG = 1.0  # of drag, thrust, moment per mass: e times the vehicle file's
+DRAG_LOG, MASS_LOG = 0.3, 0.3  # standard deviations of ln drag and ln mass at first, from the vehicle file's,
+ALIKE = 0.8  # and their correlation: a larger hull has more of both. With 0.5 a current is taken for a stronger one at first
+MOST_FORCE = 2.0  # times the thrusters' largest acceleration: against more no robot holds its place, whatever its mass is
+MOST_LOG = 1.0  # of drag, thrust, moment, yaw drag per mass: e times the vehicle file's
 AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
 HAND_S = 0.1  # for so long a hand that holds a robot pushes one way, with up to the thrusters' force
 GATE_S = 0.24  # no yaw rate changes by more than the thrusters' moment does in 0.2 s, and a fifth
@@ -95,7 +97,6 @@ NEUTRAL = 1e-6  # of the thrusters' force: that much is none
 BANDWIDTH_S = 4.0  # over which the bandwidth is averaged
 
 LEARNS, FACED_X, FACED_Y, BANDWIDTH = range(4)  # of `track`
-LOGS = slice(17, 20)  # of the belief: ln of drag, thrust, moment per mass
 
 
 class LearnedModel(NamedTuple):
@@ -150,10 +151,16 @@ def cross(learned: LearnedModel, bank: Bank, noise: Noise, numbers: Floats, ther
 
 @kernel(part=True)
 def weigh_pose(
-    bank: Bank, error: tuple[float, float, float], rate_error: float, rate_variance: float, sighting: Sighting, learns: bool
+    bank: Bank,
+    error: tuple[float, float, float],
+    rate_error: float,
+    rate_variance: float,
+    sighting: Sighting,
+    calm_m2ps3: float,
 ) -> None:
     """Correct every filter by a pose and a yaw rate (NaN: none), and weigh them by their likelihood. A pose farther off than
-    OUTLIER deviations of each filter counts as if it were so much worse."""
+    OUTLIER deviations of each filter counts as if it were so much worse. Filters that assume calmer water and forces than
+    `calm_m2ps3` learn drag."""
     ex, ey, turned = error
     nearest2, spread = math.inf, 0.0
     for j in range(len(bank.weight)):
@@ -166,7 +173,7 @@ def weigh_pose(
     more_m2 = max(nearest2 / OUTLIER**2 - 1.0, 0.0) * spread
     likelihood, gain = bank.work[3, 1], bank.work[3, 2]
     for j in range(len(bank.weight)):
-        p, mean = bank.covariance[j], bank.mean[j]
+        p, mean, learns = bank.covariance[j], bank.mean[j], bank.water_m2ps3[j] * bank.force[j] < calm_m2ps3
         total = correct(p, mean, MeasuredNumber(X, -1, ex, sighting.variance_m2 + more_m2), learns, gain)
         total += correct(p, mean, MeasuredNumber(Y, -1, ey, sighting.variance_m2 + more_m2), learns, gain)
         total += correct(p, mean, MeasuredNumber(YAW, -1, turned, sighting.variance_rad2), learns, gain)
@@ -188,11 +195,17 @@ def inject(learned: LearnedModel, numbers: Floats, change: Floats) -> None:
     numbers[11] += learned.estimates * change[FORCE_U]
     numbers[12] += learned.estimates * learned.motion.sway * change[FORCE_V]
     numbers[14] += learned.estimates * change[FORCE_R]
+    most_mps2, most_radps2 = (
+        MOST_FORCE * learned.most_n / learned.nominal[0, 0],
+        MOST_FORCE * learned.most_nm / learned.nominal[0, 3],
+    )
+    for k, most in ((11, most_mps2), (12, most_mps2), (14, most_radps2)):
+        numbers[k] = min(max(numbers[k], -most), most)
     numbers[15] += learned.motion.sway * change[CURRENT_X]
     numbers[16] += learned.motion.sway * change[CURRENT_Y]
-    for i in range(3):
-        numbers[17 + i] = min(max(numbers[17 + i] + change[DRAG + i], -MOST_LOG), MOST_LOG)
-    numbers[20] += change[GYRO]
+    for i in range(4):
+        numbers[LN + i] = min(max(numbers[LN + i] + change[DRAG + i], -MOST_LOG), MOST_LOG)
+    numbers[BIAS] += change[GYRO]
     fast = math.hypot(numbers[15], numbers[16])
     if fast > learned.fastest_mps:  # what is beyond is the robot's motion through the water
         beyond = 1.0 - learned.fastest_mps / fast
@@ -201,13 +214,13 @@ def inject(learned: LearnedModel, numbers: Floats, change: Floats) -> None:
         numbers[16] -= by
         numbers[4] += cos * bx + sin * by
         numbers[5] += learned.motion.sway * (cos * by - sin * bx)
-    d, t, n = math.exp(numbers[17]), math.exp(numbers[18]), math.exp(numbers[19])
+    d, t, n, a = math.exp(numbers[LN]), math.exp(numbers[LN + 1]), math.exp(numbers[LN + 2]), math.exp(numbers[LN + 3])
     model, nominal = learned.motion.coefficients, learned.nominal
     for i in range(2):
         model[0, i] = nominal[0, i] / t
         model[1, i], model[2, i] = nominal[1, i] * d / t, nominal[2, i] * d / t
-    for k in range(3):
-        model[k, 3] = nominal[k, 3] / n
+    model[0, 3] = nominal[0, 3] / n
+    model[1, 3], model[2, 3] = nominal[1, 3] * a / n, nominal[2, 3] * a / n
 
 
 @kernel(part=True)
@@ -227,8 +240,7 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
     share = -math.expm1(-step_s / FACING_S)
     track[FACED_X] += share * (math.cos(numbers[3]) - track[FACED_X])
     track[FACED_Y] += share * (math.sin(numbers[3]) - track[FACED_Y])
-    turns = math.hypot(track[FACED_X], track[FACED_Y]) < FACING
-    track[LEARNS] = 1.0 if turns and bank.weight[0] > CALM else 0.0
+    track[LEARNS] = 1.0 if math.hypot(track[FACED_X], track[FACED_Y]) < FACING else 0.0
     left = max(1.0 - 0.5 * (bank.mixed[X, X] + bank.mixed[Y, Y]) / sighting.variance_m2, 1e-3)
     bandwidth = -0.5 * math.log(left) / step_s
     track[BANDWIDTH] += -math.expm1(-step_s / BANDWIDTH_S) * (bandwidth - track[BANDWIDTH]) if track[BANDWIDTH] else bandwidth
@@ -297,7 +309,7 @@ def observe(
             if sample >= 0:  # what the model expects at that instant: between two samples a light hull turns as it likes
                 sensed_ns = samples.sensed_ns[sample]
                 then = propagate(motion, state_of(numbers), gamma_of(numbers), water, commands, at_ns, sensed_ns)
-                rate_error = samples.sensed[sample, 1] - then[7] - numbers[20]
+                rate_error = samples.sensed[sample, 1] - then[7] - numbers[BIAS]
                 late_s = (stamp_ns - sensed_ns) * 1e-9
             interact(bank, -math.expm1(-step_s / KIND_LASTS_S))
             cross(learned, bank, noise, numbers, arrived, step_s, steps)
@@ -308,7 +320,7 @@ def observe(
             numbers[12] *= math.exp(-step_s / noise.lasts_s)
             numbers[14] *= math.exp(-step_s / noise.lasts_s)
             rate_variance = GYRO_RADPS**2 + bank.work[1, 0, R] * steps / step_s * late_s
-            weigh_pose(bank, (ex, ey, turned), rate_error, rate_variance, sighting, belief.track[LEARNS] > 0.0)
+            weigh_pose(bank, (ex, ey, turned), rate_error, rate_variance, sighting, noise.calm_m2ps3 * belief.track[LEARNS])
             change = bank.work[3, 3]
             merge(bank, change)
             inject(learned, numbers, change)
@@ -328,6 +340,20 @@ def observe(
     for i in range(STATES):
         belief.action[i] = then[i]
     return passes
+
+
+def unlike_vehicle() -> Array:
+    """Covariance (4, 4) of ln drag, thrust, yaw moment and yaw drag per mass, for a robot that differs from its vehicle file.
+
+    Drag per mass and thrust per mass share the mass, so they are correlated; the two of yaw share the inertia.
+    """
+    both = ALIKE * DRAG_LOG * MASS_LOG
+    drag2, mass2 = DRAG_LOG**2 + MASS_LOG**2 - 2.0 * both, MASS_LOG**2
+    p = np.zeros((4, 4))
+    p[0, 0] = p[3, 3] = drag2
+    p[1, 1] = p[2, 2] = mass2
+    p[0, 1] = p[1, 0] = p[2, 3] = p[3, 2] = mass2 - both
+    return p
 
 
 def vehicle_noise(vehicle: Vehicle) -> Noise:
@@ -350,6 +376,7 @@ def vehicle_noise(vehicle: Vehicle) -> Noise:
         arm_m=arm_m,
         ratio_per_s=RATIO_PER_SQRT_S**2,
         bias_per_s=BIAS_RADPS_PER_SQRT_S**2,
+        calm_m2ps3=CALM_M2PS3,
         hand_m2ps3=2.0 * HAND_S * hand_mps2**2,
         hand_rad2ps3=2.0 * HAND_S * hand_radps2**2,
     )
@@ -417,7 +444,7 @@ class KalmanEstimator(Estimator):
             self._forget()
             self._belief[:], self._bank.mixed[:], self._model.coefficients[:] = 0.0, 0.0, self._model.nominal
             return None
-        d, t, n = (math.exp(value) for value in numbers[LOGS])
+        d, t, n = (math.exp(value) for value in numbers[LN : LN + 3])
         w = self._track.item(BANDWIDTH)
         place, yaw, velocity, ground, rate, current = deviations[:6]
         own_force, ratios = self._deviation[6:9].copy(), Ratios(deviations[9], deviations[10], deviations[11])
@@ -443,12 +470,12 @@ class KalmanEstimator(Estimator):
     def _begin(self, pose: PoseMeasurement) -> None:
         super()._begin(pose)
         bank, noise, sway = self._bank, self._process, self._model.sway
-        learned = np.array(bank.mixed[DRAG:, DRAG:])
+        learned = np.array(bank.mixed[GYRO:, GYRO:])
         p = np.zeros((ERRORS, ERRORS))
         if learned.any():
-            p[DRAG:, DRAG:] = learned
+            p[GYRO:, GYRO:] = learned
         else:
-            p[[DRAG, THRUST, MOMENT], [DRAG, THRUST, MOMENT]] = sway * self._learned.estimates * np.square(RATIOS)
+            p[DRAG:, DRAG:] = sway * self._learned.estimates * unlike_vehicle()
             p[GYRO, GYRO] = BIAS_RADPS**2
         sighting = _sighting(pose)
         p[X, X] = p[Y, Y] = sighting.variance_m2

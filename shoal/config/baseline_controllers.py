@@ -107,7 +107,6 @@ class FuzzyConfig(FeedbackLawConfig):
 class AdaptiveNnConfig(FeedbackLawConfig):
     """s = velocity error + slope error; wrench = gain s + network. The network learns `learning` N per m/s of s and second."""
 
-    guidance_per_s2: NotNegative = 0.202
     slope_per_s: Gains = (0.685, 0.953, 5.91)
     """Slope of s = velocity error + slope error."""
     gain: Gains = (27.7, 40.0, 0.128)

@@ -5,13 +5,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from benchmarks.flights import SceneFlight
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Solve, required
-from tests.closed_loop.numeric import flown
+from tests.flights.scene_flights import SceneFlight, flown_once
 
 pytestmark = pytest.mark.long
 
@@ -20,7 +19,7 @@ FOLLOWING = "formation.kind=leader-follower"
 
 
 def flight(law: str, *settings: str) -> SceneFlight:
-    return flown("numeric", "duration_s=25", f"controller.law={law}", *settings)
+    return flown_once("numeric", "duration_s=25", f"controller.law={law}", *settings)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -33,8 +32,10 @@ def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str
         s.mode is Mode.TRACKING and required(s.control).solve is Solve.SOLVED for states in flown_.states for s in states
     )
     assert np.all(np.abs(wrench) <= limit) and np.all(np.abs(change) <= step + 1e-12)
-    # 0.09 m by the laws that plan ahead; laws on the present error alone lag in the current, sliding-mode most, by 0.155 m
-    assert np.abs(flown_.error[400:, :, :3]).max() < (0.12 if law in ("eso-mpc-article", "nmpc") else 0.16)
+    # 35 to 55 mm, behind a trajectory that goes on; 0.09 m by the MPCs, which start without haste, and 0.14 m while a model is
+    # being learned
+    most_m = {"eso-mpc-article": 0.12, "nmpc": 0.12, "adaptive-nn": 0.15}
+    assert np.abs(flown_.error[400:, :, :3]).max() < most_m.get(law, 0.06)
     np.testing.assert_allclose(np.diff(wrench, axis=1), change[:, 1:], atol=1e-12)
     if law in ("eso-mpc-article", "nmpc"):  # they know their limits
         np.testing.assert_array_equal(wanted, wrench)
@@ -68,8 +69,10 @@ def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:
 @pytest.mark.parametrize("kind,notices", [("leader-follower", False), ("virtual-structure", True)])
 def test_a_leader_flies_the_same_whatever_its_followers_do(kind: str, notices: bool) -> None:
     """The article's complaint about leader-follower; under the virtual structure robots wait for one another."""
+    starts = (f"robots.1.start=[{x}, 1.0, -1.0, 0.0]" for x in (0.8, 0.2))
     one, other = (
-        flight("nmpc", f"formation.kind={kind}", f"robots.1.start=[{x}, 1.0, -1.0, 0.0]").error[:, 0] for x in (0.8, 0.2)
+        flown_once("numeric", "duration_s=8", "controller.law=nmpc", f"formation.kind={kind}", start).error[:, 0]
+        for start in starts
     )
     assert np.array_equal(one, other) != notices
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.flights import flown
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
+from tests.flights.scene_flights import flown
 
 PAGE = Path(__file__).parents[2] / "docs" / "baselines.md"
 
@@ -31,7 +31,7 @@ def test_the_example_of_the_docs_flies_by_its_own_numbers() -> None:
     for numbers in ("[2.0,6.0]", "[0.5,6.0]"):
         flight = flown(own("ownlaw:Pd", f"controller.own={numbers}"))
         worst_m.append(float(np.abs(flight.error[400:, :, :2]).max()))
-    assert worst_m[0] < 0.13 and worst_m[1] > 0.2, worst_m
+    assert worst_m[0] < 0.05 and worst_m[1] > 0.2, worst_m
 
 
 @pytest.mark.usefixtures("ownlaw")

@@ -122,8 +122,9 @@ def agent(data: bytes) -> None:
         robot.step(Inputs(StampedPose(pose, now_ns), telemetry, station), now_ns)
         path = _trajectory()
         command = Command(
-            order, 1, experiment_hash=_pool().hash, trajectory_id=path.id, trajectory=path if order is Order.LOAD else None
-        )
+            order, 1, experiment_hash=_pool().hash, trajectory_id=path.id, trajectory=path if order is Order.LOAD else None,
+            start_ns=now_ns,
+        )  # fmt: skip
         robot.handle_command(Header(1, number, now_ns), command, station, now_ns)
         now_ns += PERIOD_NS
     while bites.left:

@@ -131,7 +131,7 @@ class Mega:
         self._library.simulation_watch(self._simulation, self._symbols[function])
 
     def calls(self) -> tuple[int, float]:
-        """How often the watched function was called, and the longest time between two calls, us."""
+        """Count of calls of the watched function, and the longest time between two calls, us."""
         calls = (ctypes.c_uint64 * 2)()
         self._library.simulation_calls(self._simulation, calls)
         return calls[0], calls[1] / CYCLES_PER_US

@@ -8,6 +8,7 @@ nothing noticed, but for those that equivalents.py has a reason for; then it fai
 
 import argparse
 import ctypes
+import importlib
 import inspect
 import os
 import random
@@ -22,7 +23,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.firmware import test_memory, test_rules
 from tests.firmware.equivalents import EQUIVALENTS
 from tests.firmware.library import CORE_TESTS, FIRMWARE, built, load
 
@@ -119,8 +119,9 @@ def is_noticed(library: Path) -> bool:
 
 def call_tests(library: ctypes.CDLL) -> None:
     """Call the tests that need nothing but the library, and the memory of a board with a key."""
-    given = {"library": library, "keyed": test_memory.keyed_memory(library)}
-    for module in (test_memory, test_rules):
+    rules, memory = (importlib.import_module(f"tests.firmware.{name}") for name in ("test_rules", "test_memory"))
+    given = {"library": library, "keyed": memory.keyed_memory(library)}
+    for module in (memory, rules):
         for name, test in vars(module).items():
             needs = inspect.signature(test).parameters if name.startswith("test_") else {"": None}
             if needs.keys() <= given.keys() and not hasattr(test, "pytestmark"):

@@ -22,7 +22,7 @@ STUCK_S = 0.55  # 25 samples of the same value, and the way of a burst
 
 
 @dataclass(frozen=True)
-class Trouble:
+class SensorTrouble:
     """Something that happens to a chip, the end of it, and how the board names it."""
 
     chip: int
@@ -32,28 +32,28 @@ class Trouble:
     noticed_s: float = 0.1  # the latest at which nothing is sent any longer
 
 
-def fault(chip: int, which: ChipFault, text: str, noticed_s: float = 0.1) -> Trouble:
-    return Trouble(chip, lambda m: m.fault(chip, which), lambda m: m.fault(chip, which, False), text, noticed_s)
+def fault(chip: int, which: ChipFault, text: str, noticed_s: float = 0.1) -> SensorTrouble:
+    return SensorTrouble(chip, lambda m: m.fault(chip, which), lambda m: m.fault(chip, which, False), text, noticed_s)
 
 
-def supply(chip: int) -> Trouble:
+def supply(chip: int) -> SensorTrouble:
     """A supply that fails, and comes back later."""
 
     def back(mega: Mega) -> None:
         mega.power_chip(chip)
         mega.fault(chip, ChipFault.ABSENT, False)
 
-    return Trouble(chip, lambda m: m.fault(chip, ChipFault.ABSENT), back, "absent")
+    return SensorTrouble(chip, lambda m: m.fault(chip, ChipFault.ABSENT), back, "absent")
 
 
-def rebooted(chip: int) -> Trouble:
+def rebooted(chip: int) -> SensorTrouble:
     """Another part in its place: looked at when the supply has failed for a moment."""
 
     def begin(mega: Mega) -> None:
         mega.fault(chip, ChipFault.WRONG)
         mega.power_chip(chip)
 
-    return Trouble(chip, begin, lambda m: m.fault(chip, ChipFault.WRONG, False), "absent")
+    return SensorTrouble(chip, begin, lambda m: m.fault(chip, ChipFault.WRONG, False), "absent")
 
 
 TROUBLES = {

@@ -1,5 +1,7 @@
-"""The C board with its memory, whose bytes take 3.4 ms each and whose power fails at any of them: no order counts twice, no
-setting is torn."""
+"""The C board counts no order twice and tears no setting when power fails at any byte that its memory writes.
+
+A byte takes 3.4 ms.
+"""
 
 import ctypes
 import itertools

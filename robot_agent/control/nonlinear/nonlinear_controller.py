@@ -35,7 +35,7 @@ from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundin
 from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weights, make_memory, step_plan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle, is_inside
-from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
+from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate, is_other_goal
 from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model, flow_moment_nm
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
@@ -51,7 +51,8 @@ GAINS_S = 1.0  # time constant of the weights,
 NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a start is no noise, and ends within a second
 GOES_FIRST_S = 2.5  # a robot that goes first still keeps clear of the others for so long: they may be unable to give way
 WALL_M = 0.02  # between a hull and a wall, in the plan
-REST_M = 0.05  # and at a place to rest
+REST_M = 0.05  # and at a place to rest, beyond the distance to keep: a place that is moved once stays
+RESTS_M = 0.01  # between the last two nodes, 0.8 to 1.8 s: a plan that ends so slowly ends at rest
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
 CALM = 8.0  # standard deviations: nearer to its place, a resting robot looks for no other plan
 STEEPEST_RAD = 0.5  # a hull that rights itself is not pitched farther by its thrusters: a board that says so is wrong
@@ -90,7 +91,8 @@ class NonlinearController:
         self.formation = Formation(safety, nodes_s[1:], config.mpc.q_formation, has_leader, most_m)
         times_s, agility = np.concatenate([[0.0], nodes_s]), tunings.agility(vehicle)
         self._give_way = GiveWay(vehicle, times_s, config.period_s, agility, room_m, islands, urgent)
-        self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
+        self._fastest_mps = tunings.fastest_mps(vehicle)
+        self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, self._fastest_mps)
         self._depth, self._drift = make_memory(1), make_flight(len(self._axes))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
         self._limits, self._depth_limits = tunings.planar_limits(vehicle), tunings.depth_limits(vehicle)
@@ -149,8 +151,9 @@ class NonlinearController:
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
         pull = self.formation.pull(predictions, np.ones(4))
         surrounds = self._surrounds(predictions, obstacles, estimate, now_ns)
-        if isinstance(goal, Hold) and self._place is None:
-            self._place = self._stop(goal, dynamics, start, surrounds)
+        if isinstance(goal, Hold):
+            place = self._stop(goal, dynamics, start, surrounds) if self._place is None else self._place
+            self._place = clear_place(place, surrounds, REST_M)
         if isinstance(goal, Drive):
             goal = replace(goal, lasts_s=max(goal.lasts_s, DRIVES_ON_S))
         reference = self.sampler.sample(goal if self._place is None else Hold(self._place))
@@ -176,8 +179,7 @@ class NonlinearController:
     def _take_up(self, goal: Goal, estimate: Observation) -> None:
         """Begin a plan anew at a goal of another kind, and when the estimate has leapt."""
         before, self.goal = self.goal, goal
-        is_other = type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal)
-        if is_other:
+        if is_other_goal(before, goal):
             self._place = None
             self._give_way.reset()
         if before is None or estimate.leap:
@@ -224,13 +226,11 @@ class NonlinearController:
         return keep_m, nodes
 
     def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
-        """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""
+        """The pose (4,) where the robot can come to rest."""
         assert self._tuning is not None
         problem = PlanProblem(start, self._course, self._weights(tunings.Manner(0.0, 0.0)), self._limits, surrounds)
-        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift)
-        pose = goal.eta.copy()
-        pose[0], pose[1] = clear_place(place, surrounds, REST_M)
-        return pose
+        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._fastest_mps, self._drift)
+        return np.array([place.real, place.imag, *goal.eta[2:]])
 
     def _weights(self, manner: tunings.Manner) -> Weights:
         assert self._tuning is not None
@@ -327,15 +327,17 @@ class NonlinearController:
 
     def _told(self, estimate: Observation, lead: Reference) -> tuple[Array, Array]:
         """The plan that is flown, from now on, and where it is meant to be; the reference has the plan's heading."""
-        state, count = self._planner.flight.state, len(self._told_rows)
-        rows = np.empty((len(state) + 2, 4))
-        rows[0], rows[1] = estimate.eta, estimate.action[:4]
-        rows[2:, :2], rows[2:, 3], rows[2:, 2] = state[:, :2], state[:, 2], self._depth.flight.state[:, 0]
-        poses, reference = np.empty((count, 4)), np.empty((count, 4))
-        interpolate_rows(rows, self._told_rows, poses)
-        interpolate_rows(lead.eta, self._told_rows, reference)
+        poses = self._told_poses(estimate, self._planner.flight.state, self._depth.flight.state[:, 0])
+        reference = interpolate(lead.eta, self._told_rows)
         reference[:, 3] = poses[:, 3]
         return poses, reference
+
+    def _told_poses(self, estimate: Observation, state: Array, depth_m: Array | float) -> Array:
+        """Poses now, at the instant of action, and of a flight (nodes, 9) with its depths, at the instants that are told."""
+        rows = np.empty((len(state) + 2, 4))
+        rows[0], rows[1] = estimate.eta, estimate.action[:4]
+        rows[2:, :2], rows[2:, 3], rows[2:, 2] = state[:, :2], state[:, 2], depth_m
+        return interpolate(rows, self._told_rows)
 
     def _neutral(self, estimate: Observation | None, now_ns: int) -> ControlOutput:
         """Output with thrusters off. The plan is forgotten; neighbours are told where the robot drifts."""
@@ -354,34 +356,33 @@ class NonlinearController:
         """Poses of a robot without thrust, as they are told."""
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._still, self._axes)
         fly(dynamics, self._grid, start, self._drift)
-        state = self._drift.state
-        rows = np.empty((len(state) + 2, 4))
-        rows[:], rows[1] = estimate.eta, estimate.action[:4]
-        rows[2:, :2], rows[2:, 3] = state[:, :2], state[:, 2]
-        poses = np.empty((len(self._told_rows), 4))
-        interpolate_rows(rows, self._told_rows, poses)
-        return poses
+        return self._told_poses(estimate, self._drift.state, estimate.eta.item(2))
 
 
-def clear_place(place: complex, surrounds: Surrounds, margin_m: float) -> tuple[float, float]:
-    """The place, moved inside the room and away from bodies and outlines, by a margin more than they need."""
+def clear_place(pose: Array, surrounds: Surrounds, margin_m: float) -> Array:
+    """The pose (4,) to rest at, moved inside the room, and away from all that rests too near, by a margin more than needed.
+    What moves on is no reason to leave a place: the plan makes way for it and comes back."""
+    place = complex(*pose[:2].tolist())
     most_x, most_y = np.maximum(surrounds.room_m - margin_m, 0.0).tolist()
     for _ in range(4):  # two bodies that push against one another are left to the optimisation
         for there, keep_m, surrounded in _nearest_points(place, surrounds.bodies, surrounds.outlines):
             away = there - place if surrounded else place - there
-            if surrounded or abs(away) < keep_m + margin_m:
+            if surrounded or abs(away) < keep_m:
                 place = there + (away / abs(away) if away else 1.0) * (keep_m + margin_m)
         place = complex(min(max(place.real, -most_x), most_x), min(max(place.imag, -most_y), most_y))
-    return place.real, place.imag
+    return np.array([place.real, place.imag, *pose[2:]])
 
 
 def _nearest_points(place: complex, bodies: MovingBodies, outlines: Outlines) -> list[tuple[complex, float, bool]]:
-    """The point of each body at the end of its plan, and of each outline, that is nearest to a place, with its distance, and
-    True if the outline surrounds the place."""
-    ends = [(complex(*bodies.place[i, -1]), float(bodies.keep_m[i].max()), False) for i in range(len(bodies.keep_m))]
-    for i, keep_m in enumerate(outlines.keep_m.tolist()):
+    """The point of each body that rests at the end of its plan, and of each outline at rest, that is nearest to a place, with
+    its distance, and True if the outline surrounds the place."""
+    end, before = bodies.place[:, -1], bodies.place[:, -2]
+    rests = np.hypot(*(end - before).T) < RESTS_M
+    ends = [(complex(*end[i]), float(bodies.keep_m[i].max()), False) for i in np.flatnonzero(rests)]
+    for i in np.flatnonzero(np.hypot(*outlines.velocity.T) < tunings.SLOW_MPS):
         points = outlines.point[outlines.first[i] : outlines.first[i + 1]]
         points = points[:, 0] + 1j * points[:, 1]
         apart = place - points
-        ends.append((complex(points[np.abs(apart).argmin()]), keep_m, bool(is_inside(apart[None].astype(np.complex128))[0])))
+        surrounds = bool(is_inside(apart[None].astype(np.complex128))[0])
+        ends.append((complex(points[np.abs(apart).argmin()]), float(outlines.keep_m[i]), surrounds))
     return ends

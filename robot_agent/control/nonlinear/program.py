@@ -266,9 +266,9 @@ def condense(dynamics: Dynamics, grid: Grid, problem: PlanProblem, flight: Plann
 
 
 @kernel(part=True)
-def set_bounds(grid: Grid, problem: PlanProblem, memory: Memory) -> int:
-    """Bounds of all rows, and the half-spaces' rows; returns how many there are. No change at all is always within the bounds
-    of the commands: what is beyond them already may not go farther."""
+def set_bounds(grid: Grid, problem: PlanProblem, memory: Memory) -> None:
+    """Bounds of all rows, and the half-spaces' rows. No change at all is always within the bounds of the commands: what is
+    beyond them already may not go farther."""
     flight, program, rows, axes = memory.flight, memory.program, memory.rows, len(grid.axes)
     size, lower, upper = len(program.row), program.lower, program.upper
     for k in range(len(flight.state)):
@@ -286,7 +286,6 @@ def set_bounds(grid: Grid, problem: PlanProblem, memory: Memory) -> int:
         program.matrix[row, size] = rows.give[i]
         lower[row], upper[row] = rows.offset_m[i] - x * state[X] - y * state[Y], NO_BOUND
     program.held[2 * size + rows.used[0] :] = 0
-    return int(2 * size + rows.used[0])
 
 
 @kernel
@@ -314,29 +313,11 @@ def take_change(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Me
     return Iteration(before, after, share, rounds, entry_m, binds)
 
 
-@kernel(part=True)
-def improve(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> Iteration:
-    """One iteration on a flight, in place."""
-    flight, program = memory.flight, memory.program
-    predict(dynamics, grid, problem.start, flight, True)
-    find_rows(problem.surrounds, grid, flight.state, memory.rows)
-    before = cost_of(dynamics, grid, problem, memory)
-    condense(dynamics, grid, problem, flight, program)
-    count = set_bounds(grid, problem, memory)
-    rounds = solve_from(
-        ConvexProgram(program.hessian, program.gradient, program.matrix[:count], program.lower[:count], program.upper[:count]),
-        ActiveSet(program.change, program.dual[:count], program.held[:count], program.work, program.multiplier),
-    )
-    if rounds == 0:
-        program.held[:] = 0
-        return Iteration(before, before, 0.0, 0, deepest_entry(memory.rows, flight.state), memory.rows.used[0] > 0)
-    return take_change(dynamics, grid, problem, memory, before, rounds)
-
-
+@kernel
 def open_program(memory: Memory) -> tuple[ConvexProgram, ActiveSet]:
-    """The program that an iteration without a solution has left, with the rows in use, and where its solution belongs."""
+    """The program of the last iteration with the rows in use, and where its solution belongs."""
     program = memory.program
-    count = 2 * len(program.row) + int(memory.rows.used[0])
+    count = 2 * len(program.row) + memory.rows.used[0]
     return (
         ConvexProgram(program.hessian, program.gradient, program.matrix[:count], program.lower[:count], program.upper[:count]),
         ActiveSet(program.change, program.dual[:count], program.held[:count], program.work, program.multiplier),
@@ -345,9 +326,20 @@ def open_program(memory: Memory) -> tuple[ConvexProgram, ActiveSet]:
 
 @kernel
 def step_plan(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory, by_s: float) -> Iteration:
-    """The plan of `by_s` ago moved on to now, and one iteration on it."""
-    move_on(grid, by_s, memory.flight)
-    return improve(dynamics, grid, problem, memory)
+    """The plan of `by_s` ago moved on to now, and one iteration on it, in place."""
+    flight, program = memory.flight, memory.program
+    move_on(grid, by_s, flight)
+    predict(dynamics, grid, problem.start, flight, True)
+    find_rows(problem.surrounds, grid, flight.state, memory.rows)
+    before = cost_of(dynamics, grid, problem, memory)
+    condense(dynamics, grid, problem, flight, program)
+    set_bounds(grid, problem, memory)
+    convex, working = open_program(memory)
+    rounds = solve_from(convex, working)
+    if rounds == 0:
+        program.held[:] = 0
+        return Iteration(before, before, 0.0, 0, deepest_entry(memory.rows, flight.state), memory.rows.used[0] > 0)
+    return take_change(dynamics, grid, problem, memory, before, rounds)
 
 
 @kernel

@@ -27,6 +27,7 @@ TRUST = 2.0  # a thrust that is known to 50 % halves the bandwidth
 SHORTEST_S, LONGEST_S = 6.0, 12.0  # horizon: flown from 5 to 14 s; shorter ones do not find the turn round, longer are coarse
 TILT_RAD = 0.35  # most pitch by thrust alone: at 0.8 rad a hull rose by 0.24 m within 2 s
 GRAVITY_MPS2 = 9.81
+UPRIGHT_SHARE = 0.7  # of the righting moment that the water may take: thrust then pitches a hull three times as far as at rest
 STEP_S = 0.2  # longest step of the integration; 1/slope of the drag for light robots
 TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
 SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
@@ -81,12 +82,21 @@ def horizon_s(vehicle: Vehicle) -> float:
     return float(min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S))
 
 
+def fastest_mps(vehicle: Vehicle) -> float:
+    """The file's greatest speed, or what the hull stands: water that passes a pitched hull pitches it farther, by a moment of
+    (m_w - m_u) v^2 per radian, where the heave mass m_w is the larger one."""
+    heavier_kg = vehicle.mass.heave_kg - vehicle.mass.surge_kg
+    if vehicle.righting is None or heavier_kg <= 0.0:
+        return vehicle.limits.speed_mps
+    return min(vehicle.limits.speed_mps, math.sqrt(UPRIGHT_SHARE * vehicle.righting.moment_nm / heavier_kg))
+
+
 def agility(vehicle: Vehicle) -> Agility:
     """Agility of the point that goes around others. It returns as fast as it may, and slower near the path: no overshoot."""
-    mass, fastest_mps = vehicle.mass.surge_kg, FASTEST_SHARE * vehicle.limits.speed_mps
+    mass, around_mps = vehicle.mass.surge_kg, FASTEST_SHARE * fastest_mps(vehicle)
     change_mps2 = CHANGE_SHARE * vehicle.limits.wrench[0] / mass
     quickness = cube_root(vehicle.limits.wrench_rate_per_s[0], mass, REACH_SHARE * vehicle.radius_m)
-    return Agility(ROOM_M, LOOK_AHEAD_S, fastest_mps, change_mps2, RETURN_SHARE * quickness, fastest_mps)
+    return Agility(ROOM_M, LOOK_AHEAD_S, around_mps, change_mps2, RETURN_SHARE * quickness, around_mps)
 
 
 def cube_root(rate: float, inertia: float, reach: float) -> float:

@@ -1,6 +1,8 @@
 """A person confirms a board's depth zero: through the robot's program, or over the link while none runs."""
 
+import os
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from typer.testing import CliRunner
 
 from robot_agent.__main__ import cli
 from robot_agent.host import zero_request
+from robot_agent.host.board_zero import boot_id, boot_time_s
 from robot_agent.node import AgentNode, StepTime
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
@@ -108,6 +111,32 @@ def test_the_robots_program_does_not_arm_in_question_and_passes_the_confirmation
     assert stepping.agent.inputs.telemetry.depth_m == pytest.approx(depth_m, abs=0.05)
     assert stepping.mavlink.telemetry.restarted
     assert not (tmp_path / "state" / zero_request.FILE).exists()
+
+
+@pytest.mark.parametrize(
+    "left",
+    [
+        "air",
+        "air another-boot {now:.3f}",
+        "air {boot} {old:.3f}",
+        "air {boot} {later:.3f}",
+        "air {boot} nan",
+        "water {boot} {now:.3f}",
+    ],
+)
+def test_a_request_that_a_killed_command_has_left_reaches_no_board(stepping: AgentNode, tmp_path: Path, left: str) -> None:
+    """The file's time is ahead of the wall clock's, as after a start without a network."""
+    path, now_s = tmp_path / "state" / zero_request.FILE, boot_time_s()
+    path.write_text(left.format(boot=boot_id(), now=now_s, old=now_s - 60.0, later=now_s + 60.0), encoding="ascii")
+    os.utime(path, (time.time() + 3600.0, time.time() + 3600.0))
+    threading.Event().wait(0.3)
+    assert "in question" in refusal(stepping) and path.exists()
+    path.write_text(f"air {boot_id()} {boot_time_s():.3f}", encoding="ascii")
+    for _ in range(40):
+        if not path.exists():
+            break
+        threading.Event().wait(0.1)
+    assert not path.exists()
 
 
 def test_without_a_program_the_command_tells_the_board_itself(

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.robots import cells, flights
-from benchmarks.robots.water import TroubledPlant
 from shoal.mavlink.agent_link import Telemetry
 from shoal.messages.messages import Mode
+from tests.flights import cells, grid_flights
+from tests.flights.water import TroubledPlant
+
+pytestmark = pytest.mark.long
 
 FROZEN_NS, TURNED_NS = 10_000_000_000, 5_000_000_000
 SLOW = pytest.mark.slow
@@ -37,11 +39,11 @@ class WrongPlant(TroubledPlant):
         )
 
 
-def flown(monkeypatch: pytest.MonkeyPatch, number: int) -> flights.FlightLog:
-    """An ordinary flight of the grid (benchmarks/robots), which ends soon after the robot has stopped."""
-    monkeypatch.setattr(flights, "TroubledPlant", WrongPlant)
+def flown(monkeypatch: pytest.MonkeyPatch, number: int) -> grid_flights.FlightLog:
+    """An ordinary flight of the grid (tests/flights/cells.py), which ends soon after the robot has stopped."""
+    monkeypatch.setattr(grid_flights, "TroubledPlant", WrongPlant)
     monkeypatch.setitem(cells.CELLS, "ordinary", replace(cells.CELLS["ordinary"], holds=False))
-    return flights.fly(cells.draw("ordinary", number), 20.0)
+    return grid_flights.fly(cells.draw("ordinary", number), 20.0)
 
 
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW)])

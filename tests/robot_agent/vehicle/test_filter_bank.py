@@ -8,7 +8,7 @@ import pytest
 
 from robot_agent.vehicle import filter_bank
 from robot_agent.vehicle.dynamics import Model, MotionModel, advance
-from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, SIDE, Bank, MeasuredNumber, R, X, Y
+from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, SIDE, TURN_DRAG, Bank, MeasuredNumber, R, X, Y
 from robot_agent.vehicle.kalman import vehicle_noise
 from shoal.config.vehicle import Vehicle, load_vehicle
 from shoal.frames import Array
@@ -38,11 +38,12 @@ def random_bank(seed: int, filters: int = 3) -> Bank:
 def moved(vehicle: Vehicle, numbers: Array, dt: float, thrust: tuple[float, ...]) -> Array:
     """One step of the model: x, y, yaw, u, v, r after it, for the ERRORS' own values `numbers`."""
     model = Model(vehicle)
-    x, y, yaw, u, v, r, b_u, b_v, b_r, c_x, c_y, d, t, n, _ = numbers.tolist()
+    x, y, yaw, u, v, r, b_u, b_v, b_r, c_x, c_y, _, d, t, n, a = numbers.tolist()
     m = model.nominal.copy()
     m[0, :2] /= math.exp(t)
     m[1:, :2] *= math.exp(d - t)
     m[:, 3] /= math.exp(n)
+    m[1:, 3] *= math.exp(a)
     state: Any = (x, y, 0.3, yaw, u, v, 0.0, r, *thrust)
     push: Any = thrust
     after = advance(MotionModel(m, 1.0, model.lag_s), state, (b_u, b_v, 0.0, b_r), push, dt)
@@ -53,15 +54,16 @@ def moved(vehicle: Vehicle, numbers: Array, dt: float, thrust: tuple[float, ...]
 def test_f_is_the_derivative_of_the_step(vehicle: Vehicle) -> None:
     random, dt, h = np.random.default_rng(1), 1e-4, 1e-5
     for _ in range(20):
-        numbers = random.uniform(-1.0, 1.0, ERRORS) * [1, 1, 3, 0.4, 0.3, 1, 0.05, 0.05, 0.2, 0.2, 0.2, 0.5, 0.5, 0.5, 0.01]
+        numbers = random.uniform(-1.0, 1.0, ERRORS) * [1, 1, 3, 0.4, 0.3, 1, 0.05, 0.05, 0.2, 0.2, 0.2, 0.01, *4 * [0.5]]
         limits = (*vehicle.limits.wrench, 0.0)[:4]  # surge, heave, yaw, sway
         thrust = tuple(random.uniform(-1.0, 1.0, 4) * limits)
         belief, model, f = np.zeros(filter_bank.NUMBERS), Model(vehicle), np.empty((ERRORS, ERRORS))
         belief[[0, 1, 3, 4, 5, 7]], belief[8:11], belief[SIDE] = numbers[:6], thrust[:3], thrust[3]
-        d, t, n = np.exp(numbers[DRAG:GYRO])
+        d, t, n, _ = np.exp(numbers[DRAG:])
         model.coefficients[0, :2] /= t
         model.coefficients[1:, :2] *= d / t
         model.coefficients[:, 3] /= n
+        model.coefficients[1:, 3] *= math.exp(numbers[TURN_DRAG])
         filter_bank.linearise(model.coefficients, 1.0, belief, dt, vehicle_noise(vehicle), f)
         differences = np.empty((6, ERRORS))
         for j in range(ERRORS):

@@ -8,9 +8,11 @@ import pytest
 
 from robot_agent.control.nonlinear.tuning import (
     TILT_RAD,
+    UPRIGHT_SHARE,
     Manner,
     delay_s,
     derive,
+    fastest_mps,
     formulas,
     horizon_s,
     planar_limits,
@@ -20,6 +22,8 @@ from robot_agent.control.nonlinear.tuning import (
 from robot_agent.vehicle.estimate import Deviations, Ratios
 from shoal.config.experiment import load_experiment
 from shoal.config.vehicle import Vehicle, load_vehicle
+from sim_bridge.plant.rigid_body import coriolis, hull_of, restoring
+from sim_bridge.plant.vectors import NO_VECTOR, Rotation, SixVector, Vector, to_body
 
 DOCS = Path(__file__).parents[4] / "docs" / "control.md"
 SPHERICAL = load_experiment("pool").vehicle
@@ -83,3 +87,21 @@ def test_light_robots_are_integrated_in_shorter_steps() -> None:
     slope = (0.08 + 2.0 * 0.10 * 1.9) / 0.02
     assert step_s(light) == pytest.approx(1.0 / slope) and step_s(SPHERICAL) == 0.2
     assert delay_s(SPHERICAL, 0.05, 0.1) == pytest.approx(0.05 + 0.025 + 0.03)
+
+
+def test_water_that_passes_a_hull_at_its_greatest_speed_leaves_it_upright() -> None:
+    """The plant's own forces on a hull pitched by 0.1 rad: they right it, with what UPRIGHT_SHARE leaves of the moment at
+    rest; at sqrt(1 / UPRIGHT_SHARE) of that speed they do not."""
+    moment = ("vehicle.righting.moment_nm=0.9", "sim.plant.tilt.righting_nm=0.9")
+    fast = load_experiment("straight", ["vehicle.limits.speed_mps=2.0", *moment])
+    hull, pitch = hull_of(fast), 0.1
+    turn = Rotation(0.0, 1.0, math.sin(pitch), math.cos(pitch), 0.0, 1.0)
+
+    def moment_nm(speed_mps: float) -> float:
+        velocity = SixVector(to_body(turn, Vector(speed_mps, 0.0, 0.0)), NO_VECTOR)
+        return -coriolis(hull, velocity).angular.y - restoring(hull, turn, 5.0).angular.y
+
+    greatest_mps = fastest_mps(fast.vehicle)
+    assert moment_nm(greatest_mps) == pytest.approx((1.0 - UPRIGHT_SHARE) * moment_nm(0.0), rel=0.05) and moment_nm(0.0) < 0.0
+    assert moment_nm(1.05 * greatest_mps / math.sqrt(UPRIGHT_SHARE)) > 0.0
+    assert fastest_mps(load_vehicle("spherical")) == load_vehicle("spherical").limits.speed_mps

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robot_agent.control.nonlinear import tuning
 from shoal.config.plant import PlantConfig
 from shoal.config.vehicle import Vehicle, load_vehicle
 
@@ -86,10 +87,10 @@ def steady_speed(linear: float, quadratic: float, force: float) -> float:
 
 
 def fastest_mps(vehicle: Vehicle, drag_error: float) -> float:
-    """The fastest that a vehicle can really swim when its file is wrong about its drag by a relative error."""
+    """The fastest that a vehicle can really swim upright when its file is wrong about its drag by a relative error."""
     true = 1.0 + drag_error
     steady_mps = steady_speed(true * vehicle.drag.linear[0], true * vehicle.drag.quadratic[0], vehicle.limits.wrench[0])
-    return min(vehicle.limits.speed_mps, steady_mps)
+    return min(tuning.fastest_mps(vehicle), steady_mps)
 
 
 @dataclass(frozen=True)
