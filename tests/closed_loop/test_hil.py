@@ -10,80 +10,21 @@ import numpy as np
 import pytest
 
 from shoal.config.experiment import NO_CAMERA, Experiment, dump_experiment, load_experiment
-from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.node.hil_board import HilBoard
 from sim_bridge.sil.commands import Program, RunOptions, programs
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Children
 from sim_bridge.thruster_board.board import ThrusterBoard
+from tests.closed_loop.desks import HilDesk, MegaDesk
 from tests.closed_loop.dry_pool import DryPool, MakeBoard
 from tests.closed_loop.reported import assert_passed
-from tests.firmware.library import built
-from tests.firmware.mega import Mega
 from tests.firmware.plugged_mega import plugged_mega
 from tests.sim_bridge.boards import board
 from tests.waiting import wait_for_line
 
 Plug = Callable[[str, Path, int], AbstractContextManager["Popen[str]"]]
 
-STILL = np.zeros(4)
-STEP_NS = 5_000_000
 STEP_CYCLES = 80_000
-
-
-class HilDesk:
-    """The link to a board on a desk, in HIL mode and at rest, which makes a step of 5 ms each time that it is read."""
-
-    trouble = advice = ""
-    first_word_s = 0.0
-
-    def __init__(self, robot: int, board: ThrusterBoard) -> None:
-        self.board, self._now_ns = board, 0
-        board.receive(ParameterClient(robot).set("HIL_MODE", 1.0), 0)
-        self.pins: set[tuple[int, ...]] = set()
-
-    def send(self, data: bytes) -> None:
-        self.board.receive(data, self._now_ns)
-
-    def read(self) -> bytes:
-        self._now_ns += STEP_NS
-        data = self.board.step(self._now_ns, STILL, STILL, STILL)
-        self.pins.add(self.board.pulses)
-        return data
-
-    def wait(self, timeout_s: float) -> None: ...
-    def close(self) -> None: ...
-
-
-class MegaDesk:
-    """The link to an Arduino Mega in simavr, in HIL mode and at rest, which runs for 5 ms each time that it is read."""
-
-    trouble = advice = ""
-    first_word_s = 0.0
-
-    def __init__(self, robot: int) -> None:
-        build = f"build/robot-{robot}"
-        self.mega = Mega(elf=built(f"{build}/board.elf", f"BUILD={build}", f"ROBOT={robot}", compiler="avr-gcc"))
-        self._now_ns, self.worst_cycles, self.widths_us = 0, 0, np.empty(0)
-        while self._now_ns < 400 * STEP_NS:  # starts, and measures its gyro's bias
-            self.read()
-        self.send(ParameterClient(robot).set("HIL_MODE", 1.0))
-        for _ in range(20):  # a heartbeat of before it may still be on its way
-            self.read()
-
-    def send(self, data: bytes) -> None:
-        self.mega.receive(data, self._now_ns)
-
-    def read(self) -> bytes:
-        self._now_ns += STEP_NS
-        data = self.mega.step(self._now_ns)
-        self.worst_cycles = max(self.worst_cycles, self.mega.loop_cycles()[0])
-        widths_us = [pulse.width_us for channel in self.mega.pulses() for pulse in channel]
-        self.widths_us = np.union1d(self.widths_us, widths_us)
-        return data
-
-    def wait(self, timeout_s: float) -> None: ...
-    def close(self) -> None: ...
 
 
 def fly_within_limits(make: MakeBoard) -> DryPool:

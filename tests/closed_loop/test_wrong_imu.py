@@ -1,5 +1,4 @@
-"""A gyroscope or an accelerometer that is wrong, in step with the water and with a board at the end of each link: the robot
-goes to neutral with the sensor's name, and does not arm."""
+"""A wrong gyroscope or accelerometer in a flight with boards: the robot goes to neutral with its name, and does not arm."""
 
 from functools import partial
 
@@ -10,8 +9,8 @@ from shoal.messages.messages import Mode, Order
 from sim_bridge.fault_schedule import ImuFaults
 from sim_bridge.node.hil_board import HilBoard
 from sim_bridge.thruster_board.board import ThrusterBoard
+from tests.closed_loop.desks import HilDesk, MegaDesk
 from tests.closed_loop.dry_pool import DryPool, MakeBoard
-from tests.closed_loop.test_hil import HilDesk, MegaDesk
 
 pytestmark = pytest.mark.long
 
@@ -32,7 +31,11 @@ def on_a_desk(desk: type[HilDesk] | type[MegaDesk], experiment: Experiment, robo
     return HilBoard(experiment, robot, seed, "a desk", link, None)
 
 
-MAKERS = {"simulated": ThrusterBoard, "HIL": partial(on_a_desk, HilDesk), "Mega in HIL": partial(on_a_desk, MegaDesk)}
+MAKERS: dict[str, MakeBoard] = {
+    "simulated": ThrusterBoard,
+    "HIL": partial(on_a_desk, HilDesk),
+    "Mega in HIL": partial(on_a_desk, MegaDesk),
+}
 SLOW = pytest.mark.slow
 FLIGHTS = [
     *(pytest.param("simulated", what, marks=() if what.endswith(("0", "1.57")) else SLOW) for what in WRONG),

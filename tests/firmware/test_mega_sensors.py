@@ -1,5 +1,4 @@
-"""Sensors of the Mega in simavr that are absent, asleep, stuck, late or wrong, lose their supply or hold the bus: nothing
-untrue is sent, the rules keep their bounds, and a sensor that is whole again measures again."""
+"""Sensors of the Mega in simavr that fail in each way: nothing untrue is sent, the rules hold, and they measure again."""
 
 import math
 from collections.abc import Callable, Iterator

@@ -41,7 +41,7 @@ from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.thruster_board.sensor_zero import BoardStart
 from tests.robot_agent import obedient_board
 from tests.robot_agent.autopilot import Autopilot
-from tests.robot_agent.host.test_zero_request import DEEP, RESTARTED, STILL, RestartedBoard
+from tests.robot_agent.restarted_board import DEEP, RESTARTED, STILL, RestartedBoard
 from tests.shoal.mavlink.resetting_board import ResettingBoard
 
 pytestmark = pytest.mark.real_time
@@ -245,8 +245,8 @@ def test_check_shows_a_restart_and_a_zero_in_question_once_the_board_has_judged_
     monkeypatch.setattr(check_shell, "open_board_link", lambda board: (RestartedBoard(start, eta), None))
     monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
     board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
-    found = {finding.what: finding for finding in check_shell.run_preflight(board, None)}["thruster board"]
-    assert says in found.detail and found.verdict is verdict, found.detail
+    shown = {finding.what: finding for finding in check_shell.run_preflight(board, None)}["thruster board"]
+    assert says in shown.detail and shown.verdict is verdict, shown.detail
 
 
 class Told(obedient_board.Board):
