@@ -85,8 +85,8 @@ static bool is_stale(const struct rules *rules, uint64_t now_us) {
 }
 
 static bool is_neutral_command(const struct rules *rules) {
-    for (uint8_t i = 0; i < CHANNELS; i++)
-        if (is_thruster(rules, i) && !is_neutral_pulse(&rules->parameters, rules->command_us[i]))
+    for (uint8_t i = 0; is_thruster(rules, i); i++)
+        if (!is_neutral_pulse(&rules->parameters, rules->command_us[i]))
             return false;
     return true;
 }
@@ -207,7 +207,6 @@ void rules_step(struct rules *rules, uint64_t now_us) {
         move(rules, value[SLEW_US_S] * elapsed_s);
         return;
     }
-    for (uint8_t i = 0; i < CHANNELS; i++)
-        if (is_thruster(rules, i))
-            rules->echo_us[i] = value[THR_NEUTRAL_US];
+    for (uint8_t i = 0; is_thruster(rules, i); i++)
+        rules->echo_us[i] = value[THR_NEUTRAL_US];
 }

@@ -3,7 +3,7 @@
     python -m tests.firmware.mutants [FILE.c ...] [--sample N]
 
 Each change is compiled, and the fast tests of the core are run on it in a process of their own. Prints the changes that
-nothing noticed. `make mutants` runs it.
+nothing noticed, but for those that equivalents.py has a reason for; then it fails. `make mutants` runs it.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.firmware.equivalents import EQUIVALENTS
 from tests.firmware.library import CORE_TESTS, FIRMWARE, built, load
 
 FILES = ("rules.c", "parameters.c", "signing.c", "store.c")
@@ -46,6 +47,12 @@ class Mutant:
     file: str
     line: int  # from 1 on
     text: str
+
+    @property
+    def is_equivalent(self) -> bool:
+        """True if a person has judged that no test can notice it."""
+        before = (FIRMWARE / self.file).read_text().splitlines()[self.line - 1]
+        return any(row[:3] == (self.file, before.strip(), self.text.strip()) for row in EQUIVALENTS)
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}: {self.text.strip()}"
@@ -126,20 +133,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="*", default=FILES)
     parser.add_argument("--sample", type=int, help="so many of each file, by chance")
-    options = parser.parse_args()
+    options, lefts = parser.parse_args(), 0
     with tempfile.TemporaryDirectory() as folder:
         workshop = Workshop(Path(folder))
         for file in options.files:
-            mutants, left, invalid = list(mutants_of(file)), 0, 0
+            mutants, left, invalid, equivalent = list(mutants_of(file)), 0, 0, 0
             if options.sample is not None:
                 mutants = random.Random(1).sample(mutants, min(options.sample, len(mutants)))
             for mutant in mutants:
                 library = workshop.library(mutant)
                 invalid += library is None
                 if library is not None and not is_noticed(library):
-                    left += 1
-                    print(mutant, flush=True)
-            print(f"{file}: {len(mutants) - invalid} mutants, {left} not noticed", flush=True)
+                    equivalent += mutant.is_equivalent
+                    left += not mutant.is_equivalent
+                    print(f"{mutant}{' (equivalent)' if mutant.is_equivalent else ''}", flush=True)
+            lefts += left
+            counts = f"{len(mutants) - invalid} mutants, {left} not noticed"
+            print(f"{file}: {counts}, {equivalent} more are equivalent", flush=True)
+    raise SystemExit(lefts > 0)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from shoal.mavlink.agent_link import AgentLink, Telemetry
+from shoal.mavlink.agent_link import CALIBRATE, REJECTED, AgentLink, Telemetry
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
 from tests.firmware.mega import Mega, Reset
@@ -114,6 +114,51 @@ def test_a_person_confirms_a_zero_or_has_it_taken_anew(mega: Mega) -> None:
         pilot.run(1.0)
         assert not pilot.link.telemetry.zero_in_question and pilot.link.telemetry.restarted
         assert abs(pilot.link.telemetry.depth_m - depth_m) < 0.02
+
+
+def test_a_person_has_the_gyros_bias_taken_anew_at_rest_while_disarmed(mega: Mega) -> None:
+    pilot = settle(mega)
+    pilot.arm()
+    pilot.send(pilot.link.calibrate(gyro=True))
+    pilot.run(0.1, *[1500] * 4)
+    assert pilot.link.telemetry.acknowledged == (CALIBRATE, REJECTED)
+    pilot.run(0.4)  # silent: disarmed
+    mega.measure(DEPTH_M, 3 * BIAS_RADPS)
+    pilot.send(pilot.link.calibrate(gyro=True))
+    pilot.run(0.6)
+    mega.measure(DEPTH_M, 5 * BIAS_RADPS)  # it was moved: the mean begins anew
+    pilot.run(1.5)
+    assert abs(pilot.link.telemetry.yaw_rate_radps) < 0.01
+    pilot.run(0.3)
+    mega.reset(Reset.PIN)
+    assert abs(after(mega).yaw_rate_radps) < 0.01
+
+
+def test_a_board_switched_on_under_water_for_the_first_time_reports_no_depth(mega: Mega) -> None:
+    mega.measure(DEPTH_M)
+    pilot = Pilot(mega)
+    pilot.run(1.5)
+    telemetry = pilot.link.telemetry
+    assert telemetry.board_ms == -1 and telemetry.heartbeats  # no burst is complete without a depth
+    assert telemetry.zero_in_question and telemetry.restarted
+    pilot.send(pilot.link.calibrate())
+    pilot.run(0.2)
+    assert pilot.link.telemetry.acknowledged == (CALIBRATE, REJECTED)  # there is none to confirm
+
+
+def test_a_board_whose_settings_cannot_be_read_takes_no_frame(mega: Mega) -> None:
+    memory = bytearray(mega.eeprom)
+    memory[10] = memory[300] = 0x12  # in two of the places of settings
+    mega.eeprom = bytes(memory)
+    mega.lose_power()
+    pilot = Pilot(mega)
+    pilot.now_ns = round(mega.now_us * 1000.0)
+    pilot.run(0.5, *[1500] * 4)
+    pilot.send(pilot.link.arm(True))
+    pilot.run(0.3, *[1500] * 4)
+    telemetry = pilot.link.telemetry
+    assert telemetry.acknowledgements == 0 and not telemetry.armed
+    assert "settings cannot be read: takes nothing" in [text for _, text in telemetry.texts]
 
 
 def test_the_stock_bootloader_starts_the_firmware_only_while_nothing_is_sent(mega: Mega) -> None:

@@ -38,7 +38,7 @@ class StoredBoard(FirmwareBoard):
         self._memory = library.library_eeprom()
         ctypes.memmove(self._memory, eeprom, EEPROM_BYTES)
         library.library_cut(NEVER, 0)
-        self._store = ctypes.create_string_buffer(bytes(library.library_store_bytes()) + BEYOND)
+        self._store = ctypes.create_string_buffer(b"\xee" * library.library_store_bytes() + BEYOND)
         library.library_boot(self._board, self._store, 1)
         self.now_us = 0
 
@@ -388,7 +388,7 @@ def test_a_minute_of_a_stream_is_exactly_that(library: ctypes.CDLL, keyed: bytes
 
 def test_signatures_of_frames_of_each_length_are_verified(library: ctypes.CDLL, keyed: bytes) -> None:
     """The last block of a hash has from none to all of its bytes."""
-    board, stamps = StoredBoard(library, keyed), itertools.count(100_000)
+    board, stamps = StoredBoard(library, keyed), itertools.count(0x112233445566)  # no byte is 0
     sender = Sender((1, 191), KEY, lambda: next(stamps))
     for length in range(1, 51):
         frame = sender.pack(dialect.MAVLink_statustext_message(6, b"a" * length))
@@ -425,3 +425,54 @@ def test_at_power_on_thrusters_are_neutral_and_ankles_in_the_middle_of_their_own
     at, low_us = VALUES_AT + 4 * PARAMETERS.index["ANK_MAX_US"], PARAMETERS["ANK_MIN_US"]
     board = StoredBoard(library, rewritten(keyed, at, struct.pack("<f", 1801.0)))
     assert board.pulses == (*[1500] * 4, *[int(low_us + 1801.0) // 2] * 4)
+
+
+def signed_at(data: bytes) -> list[int]:
+    """Timestamps of the signatures of frames."""
+    stamps = []
+    while data:
+        size = 12 + data[1] + 13
+        stamps.append(int.from_bytes(data[size - 12 : size - 6], "little"))
+        data = data[size:]
+    return stamps
+
+
+def test_a_board_signs_later_than_in_any_life_before(library: ctypes.CDLL, keyed: bytes) -> None:
+    memory, latest = keyed, 0
+    for life in range(3):
+        board, stamp = StoredBoard(library, memory), itertools.count(1000 + 100 * life)
+        client = ParameterClient(1, KEY, lambda: next(stamp))  # noqa: B023
+        for _ in range(10):
+            board.put(client.ask("SLEW_US_S"))
+            board.go(1)
+        board.put(AgentLink(1, KEY, lambda: next(stamp)).arm(True))  # noqa: B023  # is kept
+        board.go(40)
+        stamps = signed_at(board.output())
+        assert len(stamps) > 9 and min(stamps) > latest
+        memory, latest = board.eeprom, max(stamps)
+
+
+def test_zeros_of_the_life_before_are_taken_off_what_is_measured_and_written_once(library: ctypes.CDLL) -> None:
+    first = settled(library, b"\xff" * EEPROM_BYTES, 0.05, 0.25)
+    memory = first.eeprom
+    first.go(200)
+    assert first.eeprom == memory
+    again, link = settled(library, memory, 1.05, 0.25), AgentLink(1)
+    link.receive(again.output(), again.now_us * 1000)
+    assert link.telemetry.depth_m == pytest.approx(1.0, abs=0.01)
+    assert link.telemetry.yaw_rate_radps == pytest.approx(0.0, abs=1e-3) and link.telemetry.restarted
+
+
+def test_a_byte_is_written_at_a_time_and_none_while_one_is_being_written(library: ctypes.CDLL, keyed: bytes) -> None:
+    board = StoredBoard(library, keyed)
+    board.put(ParameterClient(1, KEY, lambda: 10_000).set("SLEW_US_S", 4321.0))
+    written = 0
+    for count in range(600):
+        before = board.eeprom
+        library.library_busy(count % 2 == 1)
+        board.go()
+        changed = sum(a != b for a, b in zip(before, board.eeprom, strict=True))
+        assert changed <= 1 - count % 2
+        written += changed
+    library.library_busy(False)
+    assert written > 20

@@ -8,9 +8,12 @@ import pytest
 
 from shoal.mavlink.signing import Key
 from tests.firmware.bench import first_failure
+from tests.firmware.equivalents import EQUIVALENTS
 from tests.firmware.library import FIRMWARE, FirmwareBoard, built, load
+from tests.firmware.mutants import FILES, mutants_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
+SLOW = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 KEY = Key(bytes(range(1, 33)))
 CORE = ("board", "link", "messages", "parameters", "rules", "sha256", "signing", "store", "text", "zero")
@@ -64,6 +67,12 @@ MUTANTS = [  # rule, file, what it says, what it says instead
 ]
 
 
+def test_each_equivalent_change_is_one_that_is_tried() -> None:
+    tried = {(m.file, m.text.strip()) for file in FILES for m in mutants_of(file) if m.is_equivalent}
+    assert tried == {(file, changed) for file, _, changed, _ in EQUIVALENTS}
+
+
+@SLOW
 @pytest.mark.parametrize(("rule", "file", "rule_text", "instead"), MUTANTS, ids=[row[0] for row in MUTANTS])
 def test_a_broken_rule_is_found(tmp_path: Path, rule: str, file: str, rule_text: str, instead: str) -> None:
     built("build/libboard.so")

@@ -7,6 +7,7 @@ import random
 import pytest
 
 from shoal.mavlink.agent_link import IGNORED
+from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
 from sim_bridge.thruster_board.parameters import FIXED, VOLATILE, Refusal
 from sim_bridge.thruster_board.state_machine import BoardStateMachine
@@ -123,7 +124,7 @@ def test_random_calls_have_the_outputs_of_the_reference(library: ctypes.CDLL) ->
 
 
 def test_of_more_texts_than_find_room_the_newest_are_kept(library: ctypes.CDLL) -> None:
-    board = FirmwareBoard(library)
+    board, client = FirmwareBoard(library, KEY), ParameterClient(1, KEY, lambda: 1000)
     for _ in range(5):
         board.arm(True, 0)
     board.override(COMPUTER, (1500,) * 8, 0)
@@ -133,6 +134,31 @@ def test_of_more_texts_than_find_room_the_newest_are_kept(library: ctypes.CDLL) 
     texts = [text for _, text in board.texts()]
     assert texts == ["not armed: no override is arriving"] * 3 + ["armed", "disarmed", "armed"]
     assert board.state()[:3] == (True, 0, 0) and [board.value(name) for name in PARAMETERS.index] == list(PARAMETERS.values)
+    assert board.receive(client.ask("SLEW_US_S"), 10**9)  # the link's state, behind the texts, is as it was
+    client.receive(board.step(10**9), 10**9)
+    assert client.values["SLEW_US_S"] == PARAMETERS["SLEW_US_S"]
+
+
+def test_the_first_step_moves_nothing_as_no_time_has_passed(library: ctypes.CDLL) -> None:
+    board = FirmwareBoard(library)
+    board.override(COMPUTER, (1500,) * 8, 10**9)
+    assert board.arm(True, 10**9) == 0
+    board.override(COMPUTER, (1900,) * 8, 10**9)
+    board.step_rules(10**9)
+    assert board.pulses[:4] == (1500,) * 4
+    board.step_rules(10**9 + 5_000_000)
+    assert board.pulses[:4] != (1500,) * 4
+
+
+def test_a_voltage_at_a_level_is_not_below_it(library: ctypes.CDLL) -> None:
+    machine, board = BoardStateMachine(PARAMETERS, COMPUTER), FirmwareBoard(library)
+    for name, value in (("BAT_NEUTRAL_V", 8.0), ("BAT_NOARM_V", 9.0), ("BAT_WARN_V", 10.0), ("BAT_HYST_V", 0.5)):
+        assert board.change(PARAMETERS.index[name], value) == 0  # exact in single precision
+        assert machine.change(name, value) is None
+    for voltage_v, charge in ((10.0, 0), (9.75, 1), (10.25, 1), (10.5, 0), (9.0, 1), (8.75, 2), (9.5, 1)):
+        for taken in (board.battery, machine.battery):
+            taken(voltage_v, 1000.0)  # the filter has forgotten all before
+        assert board.state()[1] == charge == machine.charge, voltage_v
 
 
 PUSHING = {  # changes that are taken, and the one after them that would have a disarmed board push
