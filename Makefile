@@ -19,6 +19,9 @@ IN_PARALLEL := -n logical $(BY_FILE)
 # Two at a time: what waits for programs and for the clock leaves the processors idle for most of its time, but not for more.
 IN_PAIRS := -n 2 $(BY_FILE)
 
+# Folders in which every test flies or starts programs: they are not even collected for `make check`.
+NO_UNITS := $(addprefix --ignore=tests/,closed_loop examples faults page)
+
 .DEFAULT_GOAL := help
 .PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence laws bench lint format docs lock clean
 
@@ -33,7 +36,7 @@ check: $(INSTALLED) ## ruff, mypy, and the unit tests that start no process: a m
 	@$(MAKE) --no-print-directory --keep-going --jobs=2 lint test-units
 
 test-units:
-	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow and not real_time and not long"
+	$(BIN)/python -m pytest $(IN_PARALLEL) $(NO_UNITS) -m "not slow and not real_time and not long"
 
 # What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of
 # them. The page's tests come after: a browser, a flight and whatever else share two processors badly, and these need both.

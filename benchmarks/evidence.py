@@ -29,17 +29,33 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}", *(f"| {' | '.join(row)} |" for row in rows)]
 
 
-def _figures(row: dict[str, Any]) -> list[str]:
-    """Cells of a row's figures."""
-    numbers = [row[name] for name in ("p50", "p99", "max")]
-    texts = [number if isinstance(number, str) else short(number) for number in numbers]
-    return [*(texts if row["n"] > 1 else (texts[0], "", "")), row["unit"], str(row["n"]), row["target"]]
-
-
 def of_benchmark(content: dict[str, Any]) -> str:
     """The page of one benchmark: `content` is that of its JSON file."""
+    seeds = f" Seeds: {content['seeds']}." if content["seeds"] else ""
+    heads = [f"# Evidence: {content['name']}", "", f"{content['written']}.{seeds}", "", content["about"], ""]
+    single = [row for row in content["rows"] if row["n"] == 1]
+    spreads = [row for row in content["rows"] if row["n"] > 1]
+    tables = [[*table(*of_rows(rows)), ""] for of_rows, rows in ((_of_single, single), (_of_spreads, spreads)) if rows]
+    return "\n".join([*heads, *(line for lines in tables for line in lines)])
+
+
+def _of_single(rows: Sequence[dict[str, Any]]) -> tuple[Sequence[str], list[list[str]]]:
+    """Columns and cells of figures that are one number: a row for each case and unit, a column for each subject."""
+    subjects = list(dict.fromkeys(row["subject"] for row in rows))
+    cases: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        cases.setdefault((row["case"], row["unit"]), {})[row["subject"]] = row
+    cells = [
+        [case, unit, *(short(of[s]["p50"]) if s in of else "" for s in subjects), next((r["target"] for r in of.values()), "")]
+        for (case, unit), of in cases.items()
+    ]
+    return ("Case", "Unit", *subjects, "Target"), cells
+
+
+def _of_spreads(rows: Sequence[dict[str, Any]]) -> tuple[Sequence[str], list[list[str]]]:
+    """Columns and cells of figures with a spread."""
     columns = ("Case", "Subject", "Median", "99 %", "Largest", "Unit", "n", "Target")
-    rows = (
+    cells = [
         [
             row["case"],
             row["subject"],
@@ -48,11 +64,9 @@ def of_benchmark(content: dict[str, Any]) -> str:
             str(row["n"]),
             row["target"],
         ]
-        for row in content["rows"]
-    )
-    seeds = f" Seeds: {content['seeds']}." if content["seeds"] else ""
-    heads = [f"# Evidence: {content['name']}", "", f"{content['written']}.{seeds}", "", content["about"], ""]
-    return "\n".join([*heads, *table(columns, rows)]) + "\n"
+        for row in rows
+    ]
+    return columns, cells
 
 
 def spread(values: Iterable[float], scale: float = 1e3) -> str:

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.flights import prepared
 from benchmarks.harness import Row
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.config.scene import RobotConfig
@@ -24,6 +23,7 @@ from shoal.system import programs
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.in_process.fleet import fly
 from sim_bridge.plant.fleet import Plant
+from tests.flights.scene_flights import prepared
 
 BENCHMARK = "simulation"
 LOCKSTEP_S = 10.0  # starting all programs takes as long

@@ -361,7 +361,7 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
 
 static void say_chip(struct rules *rules, uint8_t chip, uint8_t state) {
     static const char NAMES[][11] PROGMEM = {"IMU: ", "pressure: "};
-    static const char STATES[][9] PROGMEM = {"live", "absent", "starting", "asleep", "reset", "stuck"};
+    static const char STATES[][7] PROGMEM = {"live", "absent", "", "asleep", "reset", "stuck"};
     rules_say(rules, state == CHIP_LIVE ? SAY_INFO : SAY_WARNING, NAMES[chip]);
     text_flash(&rules->text[rules->texts - 1], STATES[state]);
 }
@@ -376,8 +376,8 @@ static struct reading zeroed(struct board *board, const struct reading *measured
         rules_say(&board->rules, SAY_WARNING, PSTR("depth zero in question: confirm it"));
     if (zero_rate(zero, measured->yaw_rate_radps) == BIAS_TAKEN || event == ZERO_TAKEN)
         board->memory |= KEEP_ZEROS;
-    for (uint8_t i = 0; i < CHIPS; i++)
-        if (measured->chip[i] != board->told_chip[i])
+    for (uint8_t i = 0; i < CHIPS; i++) /* not that it starts: one that never measures does so once a second */
+        if (measured->chip[i] != board->told_chip[i] && measured->chip[i] != CHIP_STARTING)
             say_chip(&board->rules, i, board->told_chip[i] = measured->chip[i]);
     struct reading reading = *measured;
     reading.excess_hpa = zero_excess_hpa(zero, measured->excess_hpa);

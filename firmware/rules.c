@@ -18,7 +18,6 @@ static uint16_t rest_us(const struct rules *rules, uint8_t channel) {
 }
 
 void rules_begin(struct rules *rules, const struct parameters *parameters, struct peer computer) {
-    memset(rules, 0, sizeof *rules);
     rules->parameters = *parameters;
     rules->computer = computer;
     for (uint8_t i = 0; i < CHANNELS; i++)

@@ -22,6 +22,9 @@ from groundstation.station.discovery import RunningStation
 from shoal.bus.bus import Bus
 from shoal.bus.network import endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import NO_CAMERA, Experiment, dump_flight, load_experiment
+from shoal.errors import ConfigError
+from shoal.messages.codec import LONGEST_TEXT
 from shoal.messages.live_gains import values_of
 from shoal.messages.messages import Command, Order, Outcome, Progress, Reply, StationHeartbeat, Tuning
 from shoal.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
@@ -78,6 +81,23 @@ def go_command(places_m: ArrayLike, robot: int = WHOLE_FLEET) -> Command:
     if not np.all(np.isfinite(via)):
         raise ValueError(f"{via.tolist()}: no places (allowed: finite numbers, in m)")
     return Command(Order.GO, robot, via=via)
+
+
+def flight_of(name_or_path: str, settings: Sequence[str]) -> Experiment:
+    """Another experiment whose path is to be flown: it needs no camera, which is the session's. Raises ConfigError."""
+    return load_experiment(name_or_path, [*settings, NO_CAMERA])
+
+
+def path_command(experiment: Experiment) -> Command:
+    """Request to fly the path, and the formation on it, of another experiment for the same robots. Raises ConfigError for one
+    that no message holds."""
+    text = dump_flight(experiment)
+    if len(text) > LONGEST_TEXT:
+        raise ConfigError(
+            f"{experiment.name}: its path has {len(text)} characters (allowed: {LONGEST_TEXT}, about 300 points; a session "
+            "can begin with more)"
+        )
+    return Command(Order.PATH, WHOLE_FLEET, text=text)
 
 
 def gains_command(changes: Sequence[str]) -> Command:

@@ -35,7 +35,7 @@ class FleetTime:
 
     def age_s(self, received: Received[Any]) -> float:
         """Age of a message's content, in the fleet's time. Where simulated time stands, by the wall clock: nothing that has
-        stopped coming looks alive."""
+        stopped coming readings alive."""
         now_s = self.simulated_s()
         if received.header.stamp_ns >= SIMULATED_BELOW_NS:
             return received.age_ns(time.monotonic_ns()) * 1e-9
@@ -66,16 +66,17 @@ class PaceMeter:
     """Measures how fast simulated time goes."""
 
     def __init__(self) -> None:
-        self._looks: deque[tuple[float, float]] = deque()  # (simulated, wall clock) in s, of the last WINDOW_S
+        self._readings: deque[tuple[float, float]] = deque()  # (simulated, wall clock) in s, of the last WINDOW_S
 
     def add(self, simulated_s: float, now_s: float) -> float | None:
-        """Take in what time it is on both clocks. Returns simulated seconds per second; None before that is known."""
-        looks = self._looks
-        looks.append((simulated_s, now_s))
-        while len(looks) > 2 and looks[1][1] <= now_s - WINDOW_S:
-            looks.popleft()
-        took_s = now_s - looks[0][1]
-        return (simulated_s - looks[0][0]) / took_s if took_s >= SETTLED_S else None
+        """Add a reading of both clocks. Returns simulated seconds per second over the last WINDOW_S; None before that is
+        known."""
+        readings = self._readings
+        readings.append((simulated_s, now_s))
+        while len(readings) > 2 and readings[1][1] <= now_s - WINDOW_S:
+            readings.popleft()
+        took_s = now_s - readings[0][1]
+        return (simulated_s - readings[0][0]) / took_s if took_s >= SETTLED_S else None
 
 
 def pace_in_words(pace: float, share: float | None) -> str:

@@ -18,7 +18,6 @@ from shoal.messages.codec import Header
 from shoal.messages.messages import Estimate, LocalizerStatus, Mode, Obstacles, Plan, Pose, RobotState, Solve, Track
 from shoal.runtime.runtime import Clock, age_s
 
-NEVER_S = 1000.0  # age by which an agent reports a board that it never heard
 LOSSY = 0.2  # share of lost messages; above it echoes, battery voltages and poses are too old
 LATE_SHARE = 0.5  # of the control period: the budget of a step
 DEPTH_SLACK_M = 0.3  # a pressure sensor that reads further than this outside the basin is wrong
@@ -78,8 +77,14 @@ class RobotView:
         return self.state.estimate if self.state is not None else None
 
     @property
+    def is_located(self) -> bool:
+        """True if anything is known of its place."""
+        return self._estimate is not None or self.pose is not None
+
+    @property
     def eta(self) -> Array:
-        """Best known pose (4,): its own estimate if it is heard, else the localizer's pose, else its last estimate."""
+        """Best known pose (4,): its own estimate if it is heard, else the localizer's pose, else its last estimate. Zeros for
+        a robot that is not located."""
         if self._estimate is not None and (self.heard or self.pose is None):
             return self._estimate.eta
         if self.pose is not None:
@@ -250,12 +255,12 @@ def _pose(experiment: Experiment, view: RobotView, state: RobotState) -> Finding
 
 def _board(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
     """Findings about the thruster board: silence, lost messages, depth, battery."""
-    age_s, board = state.timing.board_age_ms * 1e-3, state.board
-    if board is None or age_s > topics.STATE.max_age_s:
-        text = (
-            f"thruster board silent for {age_s:.1f} s" if board is not None and age_s < NEVER_S else "thruster board not heard"
-        )
-        yield "board", "critical", True, text, "check its cable and power"
+    age_ms, board = state.timing.board_age_ms, state.board
+    if board is None or age_ms is None:
+        yield "board", "critical", True, "thruster board not heard", "check its cable and power"
+        return
+    if age_ms > topics.STATE.max_age_s * 1e3:
+        yield "board", "critical", True, f"thruster board silent for {age_ms * 1e-3:.1f} s", "check its cable and power"
         return
     if board.loss > LOSSY:
         text = f"{board.loss:.0%} of the board's messages are lost"
@@ -343,10 +348,9 @@ def _start(experiment: Experiment, state: RobotState, start: Array) -> FindingFi
     if state.estimate is None:
         return
     away_m = float(np.hypot(*(state.estimate.eta[:2] - start[:2])))
-    if (
-        state.timing.pose_age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3
-        and away_m > experiment.mission.start_within_m
-    ):
+    age_ms = state.timing.pose_age_ms
+    fresh = age_ms is not None and age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3
+    if fresh and away_m > experiment.mission.start_within_m:
         text = f"is {away_m:.2f} m from its start ({start[0]:.2f}, {start[1]:.2f}) m"
         yield "start", "notice", True, text, "bring it there, or: groundstation mission return"
 

@@ -8,10 +8,9 @@ are [x, y, yaw] in m and rad.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Cube, Floats, Image, SingleTable, Table
 
 _UNDISTORT_ROUNDS = 50  # most rounds of the fixed-point iteration; a wide lens takes 25
 _UNDISTORT_STEP = 1e-13  # tangent of the angle off the axis, step at which it ends: 1e-10 px
@@ -20,7 +19,7 @@ _DIFFERENCE_PX = 0.5  # px, step of central differences; their error is below 1e
 _TURN = 2.0 * math.pi
 
 
-@kernel("f8(f8)", part=True)
+@kernel(part=True)
 def wrapped(angle: float) -> float:
     """An angle [rad] in [-pi, pi)."""
     rest: float = np.fmod(angle, _TURN)
@@ -31,8 +30,8 @@ def wrapped(angle: float) -> float:
     return rest
 
 
-@kernel("UniTuple(f8, 2)(f8[::1], f8, f8, f8)", part=True)
-def pool_point(camera: Array, u: float, v: float, depth: float) -> tuple[float, float]:
+@kernel(part=True)
+def pool_point(camera: Floats, u: float, v: float, depth: float) -> tuple[float, float]:
     """Pool x, y [m] of pixel u, v at a depth [m]: undistorted ray, surface, Snell's law; above the water straight."""
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
@@ -65,8 +64,8 @@ def pool_point(camera: Array, u: float, v: float, depth: float) -> tuple[float, 
     return surface_x + depth * ray_x / ray_z, surface_y + depth * ray_y / ray_z
 
 
-@kernel("UniTuple(f8, 2)(f8[::1], f8, f8, f8)", part=True)
-def pixel_of(camera: Array, x: float, y: float, z: float) -> tuple[float, float]:
+@kernel(part=True)
+def pixel_of(camera: Floats, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel u, v of a pool point [m].
 
     Under water, Newton on g(r) = r + depth tan(water angle at r) - reach, with r the horizontal distance from the camera's
@@ -100,22 +99,22 @@ def pixel_of(camera: Array, x: float, y: float, z: float) -> tuple[float, float]
     return camera[0] * distorted_a + camera[2], camera[1] * distorted_b + camera[3]
 
 
-@kernel("void(f8[::1], f8[:,::1], f8[::1], f8[:,::1])")
-def pool_points(camera: Array, pixels: Array, depths: Array, places: Array) -> None:
+@kernel
+def pool_points(camera: Floats, pixels: Table, depths: Floats, places: Table) -> None:
     """Pool `places` (n, 2) [m] of `pixels` (n, 2) at `depths` (n,) [m]."""
     for i in range(len(pixels)):
         places[i, 0], places[i, 1] = pool_point(camera, pixels[i, 0], pixels[i, 1], depths[i])
 
 
-@kernel("void(f8[::1], f8[:,::1], f8[:,::1])")
-def pixels_of(camera: Array, points: Array, pixels: Array) -> None:
+@kernel
+def pixels_of(camera: Floats, points: Table, pixels: Table) -> None:
     """`pixels` (n, 2) of pool `points` (n, 3) [m]."""
     for i in range(len(points)):
         pixels[i, 0], pixels[i, 1] = pixel_of(camera, points[i, 0], points[i, 1], points[i, 2])
 
 
-@kernel("void(f8[::1], f8[:,::1], f8[::1], f8[:,:,::1])")
-def jacobians(camera: Array, pixels: Array, depths: Array, slopes: Array) -> None:
+@kernel
+def jacobians(camera: Floats, pixels: Table, depths: Floats, slopes: Cube) -> None:
     """`slopes` (n, 2, 3) = d(x, y) / d(u, v, depth) [m/px, m/px, m/m] at `pixels` (n, 2) and `depths` (n,) [m].
 
     x and y are linear in depth on either side of the surface, so that any step away from it is exact.
@@ -140,9 +139,9 @@ def jacobians(camera: Array, pixels: Array, depths: Array, slopes: Array) -> Non
         slopes[i, 1, 2] = (deep_y - y) * away
 
 
-@kernel("void(f8[::1], f8[:,:,::1], f8[::1], f8[:,::1], f8, f8[:,::1], f8[:,::1])")
+@kernel
 def marker_poses(
-    camera: Array, corners: Array, depths: Array, tilts: Array, side: float, poses: Array, misfits: Array
+    camera: Floats, corners: Cube, depths: Floats, tilts: Table, side: float, poses: Table, misfits: Table
 ) -> None:
     """Squares of `side` [m] fitted by least squares to `corners` (n, 4, 2) [px] of plates at `depths` (n,) [m], in the pool.
 
@@ -195,9 +194,9 @@ def marker_poses(
         misfits[i, 1] = math.sqrt(max(squares - (along * along + across * across) / size, 0.0) / 4.0)
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8, f8, f8, f8, f8[:,::1])")
+@kernel
 def measurement_covariance(
-    slopes: Array, mapping: Array, sigma_px: float, sigma_depth: float, extra_m2: float, yaw_rad2: float, covariance: Array
+    slopes: Table, mapping: Table, sigma_px: float, sigma_depth: float, extra_m2: float, yaw_rad2: float, covariance: Table
 ) -> None:
     """`covariance` (3, 3) = mapping + [J diag(sigma_px, sigma_px, sigma_depth)^2 J^T + extra_m2 I, 0; 0, yaw_rad2].
 
@@ -214,15 +213,15 @@ def measurement_covariance(
     covariance[2, 2] += yaw_rad2
 
 
-@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8[::1], f8[:,::1])")
+@kernel
 def kalman_predict(
-    mean: Array,
-    covariance: Array,
+    mean: Floats,
+    covariance: Table,
     step: float,
     acceleration: float,
     yaw_acceleration: float,
-    next_mean: Array,
-    next_covariance: Array,
+    next_mean: Floats,
+    next_covariance: Table,
 ) -> None:
     """One step [s] of constant velocity: x' = F x, P' = F P F^T + G diag(sigma^2) G^T, F = [I, step I; 0, I],
     G = [step^2 / 2 I; step I], with standard deviations of acceleration [m/s^2, rad/s^2]. `mean` (6,), `covariance` (6, 6)."""
@@ -247,9 +246,9 @@ def kalman_predict(
     next_mean[2] = wrapped(next_mean[2])
 
 
-@kernel("f8(f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1])")
+@kernel
 def kalman_update(
-    mean: Array, covariance: Array, pose: Array, noise: Array, next_mean: Array, next_covariance: Array
+    mean: Floats, covariance: Table, pose: Floats, noise: Table, next_mean: Floats, next_covariance: Table
 ) -> float:
     """Squared Mahalanobis distance d^T S^-1 d of a measured `pose` (3,) of covariance `noise` R (3, 3); the state after it.
 
@@ -280,10 +279,8 @@ def kalman_update(
     return squared
 
 
-@kernel("void(u1[:,:,::1], f8[:,::1], f8[:,::1], f8, f8, f4[:,::1])")
-def sample_colours(
-    picture: NDArray[np.uint8], points: Array, to_px: Array, left: float, top: float, samples: NDArray[np.float32]
-) -> None:
+@kernel
+def sample_colours(picture: Image, points: Table, to_px: Table, left: float, top: float, samples: SingleTable) -> None:
     """`samples` (3, n) of a `picture` (height, width, 3), bilinear, at to_px (2, 3) [px/m] times body `points` (3, n) [m] plus
     (left, top) [px]. Beyond its border the picture goes on with the pixels of its edge."""
     height, width = picture.shape[0], picture.shape[1]
@@ -300,17 +297,3 @@ def sample_colours(
             upper = picture[row, column, k] * (1.0 - along) + picture[row, column + 1, k] * along
             lower = picture[row + 1, column, k] * (1.0 - along) + picture[row + 1, column + 1, k] * along
             samples[k, i] = upper * (1.0 - down) + lower * down
-
-
-@kernel("UniTuple(i8, 2)(Array(u1, 2, 'A', readonly=True), i8, u1[:,::1])")
-def sample(picture: NDArray[np.uint8], stride: int, samples: NDArray[np.uint8]) -> tuple[int, int]:
-    """Every `stride`-th pixel of every `stride`-th row into `samples`; their sum, and how many differ from what was there."""
-    total = 0
-    differing = 0
-    for i in range(samples.shape[0]):
-        for j in range(samples.shape[1]):
-            pixel = int(picture[i * stride, j * stride])
-            total += pixel
-            differing += pixel != samples[i, j]
-            samples[i, j] = pixel
-    return total, differing

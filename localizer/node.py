@@ -79,10 +79,20 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, opti
             recorder = stack.enter_context(closing(FrameRecorder(options.record, alone)))
         bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet, *codec_of(options.frame_ring)))
         bus.claim(topics.localizer_name(options.camera), stop)
-        LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder, options.camera).run()
+        outlets = FrameOutlets(page, options.publish_frames, recorder)
+        LocalizerNode(experiment, bus, stop, clock, own, outlets, options.camera).run()
     stop.raise_failure()
     if recorder is not None and recorder.failure:
         raise Failed(recorder.failure)
+
+
+@dataclass(frozen=True)
+class FrameOutlets:
+    """Outlets of frames besides the localizer's core."""
+
+    page: "MjpegServer | None" = None  # the picture with what was found in it, for people
+    on_bus: bool = False  # as they are, for other programs
+    recorder: FrameRecorder | None = None  # into a file
 
 
 class LocalizerNode:
@@ -95,9 +105,7 @@ class LocalizerNode:
         stop: Stop,
         clock: Clock,
         own: FrameSource | None = None,
-        page: "MjpegServer | None" = None,
-        publish_frames: bool = False,
-        recorder: FrameRecorder | None = None,
+        outlets: FrameOutlets = FrameOutlets(),
         camera: str = "",
     ) -> None:
         """`camera` is one of several, whose topics it publishes; "" the only one."""
@@ -105,7 +113,7 @@ class LocalizerNode:
         self._hash = experiment.hash
         experiment = with_camera(experiment, camera)
         self._experiment, self._bus, self.stop, self._clock = experiment, bus, stop, clock
-        self._page, self._publish_frames, self._recorder = page, publish_frames, recorder
+        self._outlets = outlets
         self.states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
         self._has_own_source = own is not None
         self.source = own  # may be replaced before the loop begins; None: frames come from the bus
@@ -127,12 +135,12 @@ class LocalizerNode:
         """The loop: yields when the localizer is ready, and after each frame; `next` waits for the next one."""
         rate_hz = self._experiment.localizer.preview_rate_hz
         source = self.source or BusSource(self._bus, self._clock, self._experiment.camera.rate_hz, self._camera)
-        show = partial(draw, self._localizer, labels=self._page is not None)
+        show = partial(draw, self._localizer, labels=self._outlets.page is not None)
         with ExitStack() as stack:
             if self._experiment.recording.video != "none":
                 self._video = stack.enter_context(closing(VideoEncoder(self._experiment, self._bus, self.stop, self._camera)))
             previews = PreviewPublisher(
-                show, self._bus, self._clock, self.stop, rate_hz, self._page, self._publish_frames, self._camera
+                show, self._bus, self._clock, self.stop, rate_hz, self._outlets.page, self._outlets.on_bus, self._camera
             )
             stack.enter_context(closing(previews))
             log_to_bus(self._bus, self._clock, self._name)
@@ -196,10 +204,10 @@ class LocalizerNode:
         attitudes: dict[int, Attitude],
         poses: tuple[tuple[int, Pose], ...],
     ) -> None:
-        if self._recorder is not None:
+        if self._outlets.recorder is not None:
             attitude_values = {robot: astuple(attitude) for robot, attitude in attitudes.items()}
             published = {robot: encode(pose) for robot, pose in poses}
-            self._recorder.put(
+            self._outlets.recorder.put(
                 RecordedFrame(captured.pixels, captured.stamp_ns, captured.instant_ns, depths_m, attitude_values, published)
             )
 
@@ -271,16 +279,18 @@ class LocalizerNode:
             for robot, state in newest_states.items()
             if state is not None
             and age_s(self._clock, state) <= limit_s
+            and state.message.timing.board_age_ms is not None
             and state.message.timing.board_age_ms <= limit_s * 1e3
         }
 
     def _attitude(self, state: Received[RobotState], exposed_ns: int) -> Attitude | None:
         """Roll and pitch at the exposure, if the robot's board measures them."""
-        if state.message.board is None:
+        board, age_ms = state.message.board, state.message.timing.board_age_ms
+        if board is None or age_ms is None:
             return None
-        measured_ns = self._clock.instant_ns(state) - state.message.timing.board_age_ms * 1e6
+        measured_ns = self._clock.instant_ns(state) - age_ms * 1e6
         later_s = (exposed_ns - measured_ns) * 1e-9
-        return Attitude.at(state.message.board.tilt, later_s, self._experiment.localizer.attitude_sigma_rad)
+        return Attitude.at(board.tilt, later_s, self._experiment.localizer.attitude_sigma_rad)
 
     def _own(self, topic: Topic) -> Topic:
         """The topic of this localizer's camera."""

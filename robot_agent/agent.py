@@ -8,6 +8,7 @@ Data flow of `Agent.step`:
 The same code runs in a pool and in the simulator; sockets and clock are in robot_agent/node.py.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -116,7 +117,7 @@ class Agent:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
         # Both counted on the station's clock: robots that got an order at different instants still follow it together.
         ours_ahead_ns = now_ns - station.clock_ns
-        begin_ns, given_ns = begins_ns(header, command) + ours_ahead_ns, header.stamp_ns + ours_ahead_ns
+        begin_ns, given_ns = command.start_ns + ours_ahead_ns, header.stamp_ns + ours_ahead_ns
         reason = refusal(command.order, self.mode)
         if not reason:
             prepared = self.prepare(command) if prepared is None else prepared
@@ -179,7 +180,17 @@ class Agent:
     # --- the control step
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
-        """Run one control step at `now_ns`."""
+        """Run one control step at `now_ns`. In this order these decide the thrust, each later one only to take it away:
+
+        safety/health.py       ages of the inputs, and what checks found in the last step
+        safety/modes.py        whether the robot may push
+        guidance/              the goal: path or HOLD or DRIVE (`_goal`), with neighbours and obstacles
+        control/               the goal led around others, and the wrench: the only place where one is computed
+        vehicle/allocation.py  wrench to pulses
+        `_sound`               pulses that are not finite or out of range become neutral
+        safety/path_watch.py   whether the robot does what its plan predicted: acts in the next step
+        safety/output_check.py what the board puts out against what was sent: acts in the next step
+        """
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         if self._me.depth_offset_m:
@@ -218,12 +229,17 @@ class Agent:
 
     def _sound(self, output: ControlOutput) -> ControlOutput:
         """Return a control step's output, or neutral pulses and FAILED in its place if a number is not finite or a pulse is
-        outside the vehicle's range: the last guard before the wire."""
+        outside the vehicle's range: the last guard before the wire. Its goal is then that of the step before."""
         ranges = zip(output.pulse_us, self._ranges_us, strict=True)
         if all(low <= pulse <= high for pulse, (low, high) in ranges) and output.is_finite:
             return output
-        nowhere = np.zeros_like(output.plan_eta)
-        return ControlOutput(self.neutral_us, None, Control(solve=Solve.FAILED), nowhere, nowhere)
+        nowhere, still = np.zeros_like(output.plan_eta), np.zeros(len(self._experiment.vehicle.limits.wrench))
+        before = self._last.control if self._last is not None else None
+        control = replace(
+            before or Control(), solve=Solve.FAILED, iterations=0, slack_m=0.0,
+            wrench=still, wrench_step=still, wrench_wanted=still, wrench_delivered=still,
+        )  # fmt: skip
+        return ControlOutput(self.neutral_us, None, control, nowhere, nowhere)
 
     @property
     def _estimate(self) -> Estimate | None:
@@ -348,7 +364,6 @@ class Agent:
     ) -> RobotState:
         """The robot's state as it is told to station and log."""
         telemetry, pose = inputs.telemetry, inputs.pose
-        unheard = 1e6  # finite stand-in for "never", in milliseconds: every number on the wire is finite
         return RobotState(
             mode=self.mode,
             fault=self._fault,
@@ -365,9 +380,7 @@ class Agent:
             estimate=output.estimate,
             control=output.control,
             board=board_reading(telemetry) if telemetry.board_ms >= 0 else None,
-            timing=StepTiming(
-                pose_age_ms=min(health.pose_age_s * 1e3, unheard), board_age_ms=min(health.board_age_s * 1e3, unheard)
-            ),
+            timing=StepTiming(pose_age_ms=_known_ms(health.pose_age_s), board_age_ms=_known_ms(health.board_age_s)),
         )
 
 
@@ -395,11 +408,6 @@ def _pose_measurement(stamped: StampedPose | None) -> PoseMeasurement | None:
     )
 
 
-def begins_ns(header: Header, command: Command) -> int:
-    """Instant (station's clock) at which a START or RESUME takes effect: the one it names, however late it arrives."""
-    return command.start_ns or header.stamp_ns + round(command.start_in_s * 1e9)
-
-
 def unacceptable(robot: int, experiment_hash: str, header: Header, command: Command, station: StationView) -> str:
     """Return the reason to reject a command before its content is looked at; empty if it is accepted. A command is valid from
     the station that is heard now, while it is young, and for the experiment of this robot. The bus removes duplicates and
@@ -418,3 +426,8 @@ def unacceptable(robot: int, experiment_hash: str, header: Header, command: Comm
     if command.experiment_hash != experiment_hash:
         return f"is for experiment {command.experiment_hash[:8]}, this robot holds {experiment_hash[:8]}"
     return ""
+
+
+def _known_ms(age_s: float) -> float | None:
+    """An age in milliseconds; None where it is infinite, of what never came."""
+    return age_s * 1e3 if math.isfinite(age_s) else None

@@ -363,7 +363,8 @@ class AgentNode:
         age_ns = 0 if self.clock.waits else sent_ns
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=age_ns)
-        latency_ms = outputs.state.timing.pose_age_ms + (0.0 if self.clock.waits else sent_ns * 1e-6)
+        pose_age_ms = outputs.state.timing.pose_age_ms
+        latency_ms = None if pose_age_ms is None else pose_age_ms + (0.0 if self.clock.waits else sent_ns * 1e-6)
         telemetry = self.mavlink.telemetry
         timing = replace(
             outputs.state.timing,

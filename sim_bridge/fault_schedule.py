@@ -1,11 +1,11 @@
 """The fault timeline: the faults that hold now, and their effects on plant, boards, camera and links. Pure.
 
-Time is seconds along the trajectories, so no fault begins before the robots start. Faults of processes are applied by
-sim_bridge/sil/fault_injector.py.
+Time is seconds along the trajectories, so no fault of the timeline begins before the robots start. A person's fault begins at
+once, and lasts by the plant's time. Faults of processes are applied by sim_bridge/sil/fault_injector.py.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,22 +38,49 @@ class LinkFaults:
     delay_s: float = 0.0
 
 
+@dataclass(frozen=True)
+class ImuFaults:
+    """Effect of the faults on a board's gyroscope, accelerometer and heading."""
+
+    heading_rad: float = 0.0  # errors
+    rate_radps: float = 0.0
+    rate_share: float = 1.0  # of the true rate, that it measures
+    is_stuck: bool = False  # rate and force stay what they were
+    turned_rad: float = 0.0  # about the body's axis ahead
+
+    def with_effect(self, broken: Break) -> "ImuFaults":
+        """These faults and one more."""
+        match broken.effect:
+            case "heading":
+                return replace(self, heading_rad=self.heading_rad + broken.value)
+            case "gyro":
+                return replace(self, rate_radps=self.rate_radps + broken.value)
+            case "scaled":
+                return replace(self, rate_share=self.rate_share * broken.value)
+            case "turned":
+                return replace(self, turned_rad=self.turned_rad + broken.value)
+            case _:
+                return replace(self, is_stuck=True)
+
+
 class FaultSchedule:
     """The faults of an experiment, and their effects at the time of the last `at`."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._faults, self._robots = experiment.sim.faults, experiment.robot_ids
         self._depth_m = experiment.path.depth_m
-        self._by_hand: tuple[Fault, ...] = ()
+        self._by_hand: tuple[tuple[Fault, float], ...] = ()  # of a person, and the plant's time at which each is over
         self._active: tuple[Fault, ...] = ()
         self._stuck_us: dict[tuple[int, int], float] = {}
         self._derive()
 
-    def at(self, time_s: float) -> list[str]:
-        """Move to a time. Returns a line of text for each fault that began or ended."""
+    def at(self, time_s: float, plant_s: float = 0.0) -> list[str]:
+        """Move to a time along the trajectories, and the plant's. Returns a line of text for each fault that began or
+        ended."""
         if not (self._faults or self._by_hand or self._active):
             return []
-        active = tuple(fault for fault in (*self._faults, *self._by_hand) if fault.holds(time_s))
+        self._by_hand = tuple((fault, over_s) for fault, over_s in self._by_hand if plant_s < over_s - ROUNDING_S)
+        active = (*(fault for fault in self._faults if fault.holds(time_s)), *(fault for fault, _ in self._by_hand))
         if active == self._active:
             return []
         texts = [f"fault: {fault.what}" for fault in active if fault not in self._active]
@@ -62,23 +89,25 @@ class FaultSchedule:
         self._derive()
         return texts
 
-    def add(self, what: str, for_s: float, time_s: float) -> str:
-        """Break something now, by a hand; nothing named: mend all that hands broke. Returns it as --fault takes it."""
+    def add(self, what: str, for_s: float, time_s: float, plant_s: float = 0.0) -> str:
+        """Break something now, by a hand; nothing named: mend all that hands broke. Returns it as --fault takes it; what is
+        to be whole again after a while before the robots start is none of their flight's."""
         if not what:
             mended, self._by_hand = self._by_hand, ()
-            return "; ".join(f"mended at {time_s:.3f} s: {fault.what}" for fault in mended)
+            return "; ".join(f"mended at {time_s:.3f} s: {fault.what}" for fault, _ in mended)
+        fault = Fault.model_construct(at_s=time_s, for_s=for_s or None, what=what)
+        self._by_hand += ((fault, plant_s + for_s if for_s else math.inf),)
         during = f" for={for_s:g}" if for_s else ""
-        self._by_hand += (Fault.model_construct(at_s=time_s, for_s=for_s or None, what=what),)
-        return f"t={max(time_s, 0.0):.3f}{during} {what}"
+        return f"before the start{during} {what}" if for_s and time_s < 0.0 else f"t={max(time_s, 0.0):.3f}{during} {what}"
 
-    def quiet_steps(self, time_s: float, step_s: float, most: int) -> int:
+    def quiet_steps(self, time_s: float, step_s: float, most: int, plant_s: float = 0.0) -> int:
         """Plant steps from `time_s` to the first instant of a step at which a fault begins or ends; 1 to `most`."""
-        faults = (*self._faults, *self._by_hand)
-        if not faults:
+        if not (self._faults or self._by_hand):
             return most
-        begins = [fault.at_s for fault in faults]
-        ends = [fault.at_s + fault.for_s for fault in faults if fault.for_s is not None]
-        change_s = min((change_s for change_s in (*begins, *ends) if change_s > time_s), default=math.inf) - time_s
+        begins = [fault.at_s for fault in self._faults]
+        ends = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
+        left_s = [change_s - time_s for change_s in (*begins, *ends)] + [over_s - plant_s for _, over_s in self._by_hand]
+        change_s = min((left for left in left_s if left > 0.0), default=math.inf)
         return most if change_s >= most * step_s else max(math.ceil((change_s - ROUNDING_S) / step_s), 1)
 
     def pulses(self, pulses_us: Array) -> Array:
@@ -109,9 +138,9 @@ class FaultSchedule:
         for i, b in self._of("battery"):
             sag_v[i] += b.value
         self.actuators = ActuatorFaults(thrust, sag_v)
-        self.imu_error = np.zeros((n, 2))  # heading rad, yaw rate rad/s
+        self.imu = [ImuFaults()] * n
         for i, b in self._of("imu"):
-            self.imu_error[i, ("heading", "gyro").index(b.effect)] += b.value
+            self.imu[i] = self.imu[i].with_effect(b)
         self.unmarked = frozenset(i for i, _ in self._of("marker"))
         self.camera = tuple(b for _, b in self._of("camera"))
         water = [b for _, b in self._of("water")]

@@ -119,13 +119,17 @@ class World:
 
     def apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
-        changes = self.faults.at(self.flown_s)
+        changes = self.faults.at(self.flown_s, self.now_ns * 1e-9)
         if self.faults.gust_mps != self._gust_mps:
             self._gust_mps = self.faults.gust_mps
             self._plant.stream(self._current_mps + np.array([self._gust_mps, 0.0, 0.0]))
-        for board, error in zip(self.boards, self.faults.imu_error.tolist() if changes else (), strict=False):
-            board.sensors.error = (error[0], error[1])
+        for board, faults in zip(self.boards, self.faults.imu if changes else (), strict=False):
+            board.sensors.faults = faults
         return changes
+
+    def break_by_hand(self, what: str, for_s: float) -> str:
+        """Take a person's fault, or mend all of them. Returns it as --fault takes it."""
+        return self.faults.add(what, for_s, self.flown_s, self.now_ns * 1e-9)
 
     def next_exposure(self) -> tuple[Array, Array, Array] | None:
         """Poses, velocities and tilts (n, 4) at the next exposure, if no pulse sent from now on can change them; else None.
@@ -153,7 +157,7 @@ class World:
         """Plant steps to the next event or to `until_ns`, whichever comes first; at least one."""
         due_ns = min(until_ns, self.exposure_ns, *(board.next_event_ns for board in self.boards))
         steps = max(-((self.now_ns - due_ns) // self._step_ns), 1)
-        return self.faults.quiet_steps(self.flown_s, self._step_ns * 1e-9, steps)
+        return self.faults.quiet_steps(self.flown_s, self._step_ns * 1e-9, steps, self.now_ns * 1e-9)
 
     def step(self, until_ns: int = 0) -> list[tuple[int, bytes]]:
         """Move to the next event, but not beyond the first plant step at or after `until_ns`; by one step at least. Returns

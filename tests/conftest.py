@@ -19,7 +19,7 @@ from tests import skipped
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
-os.environ["SHOAL_CHECK_KERNELS"] = "1"  # at every call the types of the arguments, which machine code does not look at
+os.environ["SHOAL_CHECK_KERNELS"] = "1"  # types of arguments, which machine code does not look at
 
 # The first call in a process counts: without it, one verbose test would make Zenoh print in all later ones.
 zenoh.init_log_from_env_or("error")

@@ -1,5 +1,7 @@
-"""Files that somebody put where ours should be: a pipe without an end, a device, too many bytes. No reader waits for them,
-takes all memory, or loses what lies beside them."""
+"""No reader waits for a hostile file, takes all memory for it, or loses what lies beside it.
+
+Such files are a pipe without an end, a device, too many bytes, where ours should be.
+"""
 
 import ast
 import json

@@ -3,7 +3,7 @@
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib import metadata
 
 import pytest
@@ -17,6 +17,8 @@ PACKAGES = {*PROGRAMS, "shoal", "sim_bridge"}
 # The simulator stands on all others: it steps agents in one process, starts programs, and asks the ground station's judge.
 SEES = {"shoal": {"shoal"}, "sim_bridge": PACKAGES} | {program: {program, "shoal"} for program in PROGRAMS}
 DOOR = "shoal/__init__.py"  # names functions of other packages for scripts, and loads them only when a script asks
+
+HELPERS_OF_BENCHMARKS = ("tests.flights", "tests.localizer.photoreal")  # flights and pictures that tests judge too
 
 # `shoal` holds what at least two of the three programs need. These stand there all the same, with the reason.
 SHARED_OTHERWISE = {
@@ -45,7 +47,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "kernels": set(),
         "camera_model": {"kernels"},
         "detection": {"camera_model", "kernels"},
-        "sources": {"detection", "kernels"},
+        "sources": {"detection"},
         "tracking": {"camera_model", "detection", "kernels", "sources"},
         "view": {"camera_model", "detection", "sources", "tracking"},
         "calibration": {"camera_model", "detection", "sources", "view"},
@@ -185,7 +187,7 @@ def test_the_rules_notice_offenders() -> None:
 def test_packages_import_only_what_they_may_see(package: str) -> None:
     offences = []
     for source in sources(package):
-        names = {name.partition(".")[0] for name in _imports(tree_of(source), package)}
+        names = _roots(_imports(tree_of(source), package))
         allowed = PACKAGES if source == DOOR else SEES[package]
         offences += [f"{source} imports {other}" for other in names & (PACKAGES | {"tests", "benchmarks"}) - allowed]
     assert not offences, f"{'; '.join(sorted(offences))}: what programs share belongs in shoal/"
@@ -196,6 +198,21 @@ def test_packages_do_not_reach_into_one_another_on_disk(package: str) -> None:
     others = (PACKAGES | {"tests", "benchmarks"}) - SEES[package]
     names = [f"{s} names files of {other}" for s in sources(package) for other in others & set(_reached_on_disk(tree_of(s)))]
     assert not names, f"{'; '.join(sorted(names))}: what programs share belongs in shoal/"
+
+
+def test_benchmarks_stand_on_the_flights_of_tests_and_no_test_on_a_benchmark() -> None:
+    """Flights that both need stand in tests/flights. The benchmarks' own tests may import what they test."""
+    own = "tests/benchmarks/"
+    offences = [s for s in sources("tests") if not s.startswith(own) and "benchmarks" in _roots(_imports(tree_of(s), "tests"))]
+    assert not offences, f"{', '.join(offences)}: import from benchmarks; what tests need of it belongs in tests/flights"
+    names = {name for source in sources("benchmarks") for name in _imports(tree_of(source), "benchmarks")}
+    others = {name for name in names if name.startswith("tests.") and not name.startswith(HELPERS_OF_BENCHMARKS)}
+    assert not others, f"benchmarks import {sorted(others)}; of tests they may see {' and '.join(HELPERS_OF_BENCHMARKS)}"
+
+
+def _roots(names: Iterable[str]) -> set[str]:
+    """The packages at the top level of full names."""
+    return {name.partition(".")[0] for name in names}
 
 
 def test_shoal_holds_what_two_programs_need() -> None:

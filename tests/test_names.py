@@ -1,5 +1,7 @@
-"""Names and first lines, read from the source: one name for one class, nouns for values, docstrings that say what a thing is
-or does, and tests that are named by what they do and use public names."""
+"""Names and first lines obey their rules: one name for one class, nouns for values, docstrings that say what a thing is.
+
+Tests are named by what they do, begin with what they prove, and use public names. All of it is read from the source.
+"""
 
 import ast
 import io
@@ -21,6 +23,7 @@ KEPT_NAMES = {  # fields that logs and boards' memories have under these names
     ("shoal/messages/messages.py", "heard"),
     ("sim_bridge/thruster_board/board.py", "heard"),
 }
+SHORTEST = 7  # words of the first line of a test file: fewer name a topic, not a behaviour
 RIDDLES = {"who", "whom", "whose", "whoever", "what", "whatever", "where", "wherever", "how", "why", "whether", "when"}
 
 
@@ -101,8 +104,7 @@ def test_names_of_values_are_those_that_a_file_gives(text: str, names: list[str]
 def test_heads_of_modules_name_functions_and_files_that_exist() -> None:
     """Shorter names are those of equations."""
     files = [source for package in PACKAGES for source in sources(package)]
-    code = {source: ast.unparse(_without_docstrings(source)) for source in files}
-    words = {word for text in code.values() for word in re.findall(r"\w+", text)}
+    words = {word for source in files for word in _words(tree_of(source))}
     offences = []
     for source in files:
         head = ast.get_docstring(tree_of(source)) or ""
@@ -114,12 +116,17 @@ def test_heads_of_modules_name_functions_and_files_that_exist() -> None:
     assert not offences, "\n".join(offences)
 
 
-def _without_docstrings(source: str) -> ast.Module:
-    tree = ast.parse((ROOT / source).read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and ast.get_docstring(node):
-            node.body[0] = ast.Pass()
-    return tree
+def _words(tree: ast.Module) -> set[str]:
+    """All names and words in the strings of a file, but for its docstrings."""
+    docstrings = {
+        id(node.body[0].value)
+        for node in nodes(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
+    }
+    values = (value for node in nodes(tree) if id(node) not in docstrings for value in vars(node).values())
+    return set(re.findall(r"\w+", " ".join({value for value in values if isinstance(value, str)})))
 
 
 def imported_modules(node: ast.AST) -> list[str]:
@@ -131,7 +138,7 @@ def imported_modules(node: ast.AST) -> list[str]:
 
 def private_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Each private name of something else that a file uses, with its line."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.Attribute):
             if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
                 yield node.end_lineno or node.lineno, node.attr
@@ -149,21 +156,18 @@ def lines_with_reasons(text: str) -> set[int]:
     return explained_lines
 
 
-def unexplained(text: str) -> list[tuple[int, str]]:
+def unexplained(text: str, tree: ast.Module) -> list[tuple[int, str]]:
     """Private names that a file uses without a reason beside them, with their lines."""
-    explained = lines_with_reasons(text)
-    return [
-        (line, name)
-        for line, name in private_names(ast.parse(text))
-        if re.match(r"_[^_]", name) and name not in PUBLIC and line not in explained
-    ]
+    private = [(line, name) for line, name in private_names(tree) if re.match(r"_[^_]", name) and name not in PUBLIC]
+    explained = lines_with_reasons(text) if private else set()
+    return [(line, name) for line, name in private if line not in explained]
 
 
 def test_a_private_name_is_used_in_tests_only_with_a_reason_beside_it() -> None:
     offences = [
         f"{source}:{line}: {name}"
         for source in sources("tests")
-        for line, name in unexplained((ROOT / source).read_text(encoding="utf-8"))
+        for line, name in unexplained((ROOT / source).read_text(encoding="utf-8"), tree_of(source))
     ]
     assert not offences, "\n".join(offences)
 
@@ -184,7 +188,7 @@ def test_a_private_name_is_used_in_tests_only_with_a_reason_beside_it() -> None:
     ],
 )
 def test_a_comment_for_a_tool_or_on_another_line_is_no_reason(text: str, names: list[str]) -> None:
-    assert [name for _, name in unexplained(text)] == names
+    assert [name for _, name in unexplained(text, ast.parse(text))] == names
 
 
 def test_a_test_is_named_by_what_it_does() -> None:
@@ -193,6 +197,18 @@ def test_a_test_is_named_by_what_it_does() -> None:
         for source in sources("tests")
         for node in nodes(tree_of(source))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and VAGUE.match(node.name)
+    ]
+    assert not offences, "\n".join(offences)
+
+
+def test_a_test_file_begins_with_what_it_proves() -> None:
+    """In a sentence of one line."""
+    offences = [
+        f"{source}: {line}"
+        for source in sources("tests")
+        if source.rpartition("/")[2].startswith("test_")
+        for line in [(ast.get_docstring(tree_of(source)) or "").partition("\n")[0]]
+        if not line.endswith(".") or len(line.split()) < SHORTEST
     ]
     assert not offences, "\n".join(offences)
 

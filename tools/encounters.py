@@ -6,8 +6,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from benchmarks.robot_agent.encounters import SCENES, meet
 from shoal.config.experiment import load_experiment
+from tests.flights.encounters import SCENES, meet
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

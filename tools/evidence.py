@@ -6,13 +6,14 @@ from pathlib import Path
 
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.evidence import of_benchmark, table
+from benchmarks.robots import report
 
 EVIDENCE = Path(__file__).parents[1] / "docs" / "evidence"
 HEAD = """# Evidence
 
-What is measured, and how to measure it again. Each page states commit, machine, seeds and targets, and has its figures as JSON
-beside it. Times depend on the machine: compare rows of one page only. `make bench ARGS=NAME` measures without writing a page.
-This list is written by `make docs`.
+What can be measured, and how; a link leads to a page that is written. Each page states commit, machine, seeds and targets, and
+has its figures as JSON beside it. Times depend on the machine: compare rows of one page only. `make bench ARGS=NAME` measures
+without writing a page. This list is written by `make docs`.
 
 """
 OTHERS = {  # pages with commands of their own
@@ -26,13 +27,14 @@ OTHERS = {  # pages with commands of their own
 def _rows() -> Iterator[list[str]]:
     commands = {name: (f"make evidence ARGS={name}", what) for name, (_, what) in BENCHMARKS.items()}
     for name, (command, what) in {**OTHERS, **commands}.items():
-        page = f"[{name}.md]({name}.md)" if (EVIDENCE / f"{name}.md").exists() else "not written yet"
-        yield [what, f"`{command}`", page]
+        yield [f"[{what}]({name}.md)" if (EVIDENCE / f"{name}.md").exists() else what, f"`{command}`"]
 
 
 def files() -> dict[Path, str]:
     """The list, and the page of each benchmark that has figures."""
-    pages = {EVIDENCE / "README.md": HEAD + "\n".join(table(("What", "Command", "Page"), _rows())) + "\n"}
+    pages = {EVIDENCE / "README.md": HEAD + "\n".join(table(("What", "Command"), _rows())) + "\n"}
+    robots = EVIDENCE / "robots.json"
+    pages[robots.with_suffix(".md")] = report.markdown(report.from_json(json.loads(robots.read_text(encoding="utf-8"))))
     for name in BENCHMARKS:
         file = EVIDENCE / f"{name}.json"
         if file.exists():

@@ -17,17 +17,24 @@ from sim_bridge.fault_schedule import NUMERIC
 from tools import readers
 
 ROOT = Path(__file__).parents[1]
-LAID = "Written by `make docs` from the models in `shoal/config/`; edit those. `groundstation keys-of` has examples too.\n"
-COLUMNS = "| Key | Type | Unit | Range | Default | Meaning | Read in |\n|---|---|---|---|---|---|---|"
-COPIES = 10  # keys that two sections share: the second one is a copy of the first
-OUT = "A default that is empty: leaving the key out has a meaning of its own.\n"
+LAID = "Written by `make docs` from the models in `shoal/config/`; `groundstation keys-of` prints examples.\n"
+COPIES = 4  # keys that two sections share: the second one is a copy of the first
+OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. In
+brackets: the module that reads the key, unless many do. Ranges: `groundstation keys-of`, the editor's schema, or the error
+message.
+"""
 
 
 def _row(entry: KeyEntry, prefix: str) -> str:
-    name = f"`{entry.name.removeprefix(prefix)}`{' (live)' if entry.live else ''}"
-    default = f"`{entry.default}`" if entry.default not in ("", "required") else entry.default
-    cells = (name, entry.type, entry.unit, entry.allowed, default, entry.meaning, readers.cell(entry.name))
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    """`key=default` kind unit: meaning (module that reads it)."""
+    default = "" if entry.default in ("", "required") else f"={entry.default}"
+    boolean = "" if default else "true/false"
+    kind = entry.type.replace("list of ", "").replace("true or false", boolean).replace('" or "', '", "')
+    kind = f"{'' if kind == 'number' and entry.unit else kind} {entry.unit}".strip()
+    marks = [mark for mark, is_set in (("required", entry.default == "required"), ("live", entry.live)) if is_set]
+    about = ", ".join(part for part in (kind, *marks) if part)
+    reader = readers.cell(entry.name)
+    return f"* `{entry.name.removeprefix(prefix)}{default}`{about and f' {about}'}: {entry.meaning}{reader and f' ({reader})'}"
 
 
 def _table(table: KeyTable) -> Iterator[str]:
@@ -36,20 +43,30 @@ def _table(table: KeyTable) -> Iterator[str]:
     yield f"\n## {f'[[{table.name}]]' if repeated else f'[{table.name}]' if table.name else 'Top of the file'}{when}\n"
     yield f"{table.meaning}\n"
     if table.entries:
-        yield COLUMNS
         prefix = f"{table.name}.{'N.' if repeated else ''}" if table.name else ""
-        yield from (_row(entry, prefix) for entry in table.entries)
+        yield from (
+            _row(entry, prefix) for entry in table.entries if not (table.entries[0].when and entry.name.endswith(".kind"))
+        )
 
 
 def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
-    """The tables; one whose keys are those of an earlier table, as [[cameras]] has those of [camera], lists its other keys."""
+    """The tables. One whose keys are those of an earlier table, as [[cameras]] has those of [camera], lists its other keys; so
+    does a further kind of a section."""
     earlier: dict[str, set[tuple[str, ...]]] = {}
+    of_kind: dict[str, set[tuple[str, ...]]] = {}  # rows of a section that has several kinds, as the paths
     for table in tables:
+        rows = {entry: (entry.name, entry.type, entry.default, entry.meaning) for entry in table.entries}
+        earlier_rows = of_kind.setdefault(table.name, set())
+        again = [f"`{entry.name.rpartition('.')[2]}`" for entry, row in rows.items() if row in earlier_rows]
+        if again:
+            fresh = tuple(entry for entry, row in rows.items() if row not in earlier_rows)
+            table = replace(table, meaning=f"{table.meaning} As above: {', '.join(again)}.", entries=fresh)
+        earlier_rows |= set(rows.values())
         keys = {entry: (entry.name.rpartition(".")[2], entry.type, entry.meaning) for entry in table.entries}
         first = next((name for name, other_keys in earlier.items() if len(other_keys & set(keys.values())) >= COPIES), "")
         if first:
             others = tuple(entry for entry, key in keys.items() if key not in earlier[first])
-            yield replace(table, meaning=f"{table.meaning}\n\nThe keys of [{first}], and:", entries=others)
+            yield replace(table, meaning=f"{table.meaning} The keys of [{first}]{', and:' if others else '.'}", entries=others)
         else:
             earlier[table.name] = set(keys.values())
             yield table
@@ -57,25 +74,23 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
 
 def _page(title: str, intro: str, tables: Iterable[KeyTable]) -> str:
     sections = (line for table in _without_copies(tables) for line in _table(table))
-    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}", *sections]) + "\n"
+    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}".rstrip(), *sections]) + "\n"
 
 
 def _faults() -> Iterator[str]:
     yield f"# Faults that can be injected\n\n{LAID}"
-    yield "Each is a line after `--fault`, or a table `[[sim.faults]]` ([simulation.md](simulation.md)). `for=SECONDS` makes"
-    yield "it end. A value may be left out. The columns `--real-time`, other `sil` and `numeric` say who can have it.\n"
-    yield "| Fault | What happens | Value | Default | Range | `--real-time` | other `sil` | `numeric` | Example |"
-    yield "|---|---|---|---|---|---|---|---|---|"
+    yield "Each is a line after `--fault` or a table `[[sim.faults]]` ([simulation.md](simulation.md)), as in"
+    yield "`--fault 't=20 for=5 thruster 2/3 weak 0.5'`: at 20 s, for 5 s, thruster 3 of robot 2. A value may be left out."
+    yield "*In*: 1 `sil --real-time`, 2 `sil` in lockstep, 3 `numeric`.\n"
+    yield "| Fault | What happens | Value | In |\n|---|---|---|---|"
     for kind, (target, effects) in KINDS.items():
         for name, effect in effects.items():
-            place = {"ROBOT": "2", "ROBOT/THRUSTER": "2/3", "NAME": "agent-2"}.get(target, "")
             words = " ".join(word for word in (kind, target, name) if word)
-            value = f"{effect.default:g}" if effect.meaning else ""
-            line = " ".join(word for word in ("t=20", kind, place, name, value) if word)
-            allowed = f"{effect.low:g} to {effect.high:g}" if effect.meaning else ""
-            where = ("x", "" if kind in OF_PROCESSES else "x", "x" if kind in NUMERIC else "")
-            cells = (f"`{words}`", effect.happens, effect.meaning, value, allowed, *where, f"`{line}`")
-            yield f"| {' | '.join(cells)} |"
+            value = (
+                f"{effect.meaning}: {effect.low:g} to {effect.high:g}, default {effect.default:g}" if effect.meaning else ""
+            )
+            where = "1" if kind in OF_PROCESSES else "1-3" if kind in NUMERIC else "1-2"
+            yield f"| {' | '.join((f'`{words}`', effect.happens, value, where))} |"
 
 
 GAINS = "<!-- gains of the nonlinear MPC: written by `make docs` -->\n"
@@ -113,20 +128,19 @@ def _gains() -> str:
 
 
 def _constants() -> Iterator[str]:
-    yield f"# Constants of controller and observer\n\n{LAID.replace('the models in `shoal/config/`', 'the sources')}"
-    yield "Everything else follows from the vehicle file, the control period and the reported noise"
-    yield "([control.md](../control.md#weights) has the formulas). A name ends with its unit; one without is a ratio."
-    yield "Each was flown on all cells of the grid ([evidence](../evidence/robots.md)): 2.3 to 40 kg, thrust x 0.5 to 3,"
-    yield "inertia x 0.25 to 8, lag 0.05 to 0.5 s, dead time up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of"
-    yield "the speed."
+    yield "# Constants of controller and observer\n\nWritten by `make docs` from the sources.\n"
+    yield "All other gains follow from the vehicle file, the control period and the reported noise"
+    yield "([formulas](../control.md#weights)). A name ends with its unit; one without is a ratio. All were flown on the"
+    yield "[grid](../evidence/robots.md): 2.3 to 40 kg, thrust x 0.5 to 3, inertia x 0.25 to 8, lag 0.05 to 0.5 s, dead time"
+    yield "up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of the speed."
     for path in CONSTANTS:
-        yield f"\n## {path}\n\n| Constant | Value | Reason |\n|---|---|---|"
+        yield f"\n## {path}\n"
         lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
         for line in lines:
             match = re.match(r"([A-Z][A-Z0-9_, ]*) = ([^#]+?)  # (.+)", line)
             if match and re.search(r"\d", match[2]) and not re.search(r"range\(|slice\(|{", match[2]):
                 name, value, reason = match.groups()
-                yield f"| `{name}` | `{value}` | {reason.replace('|', chr(92) + '|')} |"
+                yield f"* `{name} = {value}`: {reason}"
 
 
 CONSTANTS = (
@@ -139,8 +153,8 @@ CONSTANTS = (
 
 MISSION_STATES = """# States of a mission
 
-Written by `make docs`; `groundstation mission states` prints it, and the station reads the same table. A person requests the
-orders of the second table. [missions.md](../missions.md) explains them.
+Written by `make docs` from the station's own table; `groundstation mission states` prints it. Explained in
+[missions.md](../missions.md).
 
 """
 

@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import enum
 import inspect
+import itertools
 import math
 import types
 from collections.abc import Iterator
@@ -16,11 +17,21 @@ from shoal.messages.topics import TOPICS, Qos, Topic
 
 HEAD = """# Messages and topics
 
-Written by `make docs` from `shoal/messages/topics.py` and `shoal/messages/messages.py`; edit those. The schema of a message in
-the log is `fleet.NAME` ([fleet.proto](fleet.proto)). Frames and units: [frames-and-units.md](../frames-and-units.md).
+Written by `make docs` from `shoal/messages/topics.py` and `shoal/messages/messages.py`. In the log a message's schema is
+`fleet.NAME` ([fleet.proto](fleet.proto)). Frames and units: [frames-and-units.md](../frames-and-units.md).
 
-Keys stand below the fleet's name (`--fleet`, default `shoal`). Beside every message travels a header of 28 bytes as its Zenoh
-attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 in ns (`shoal/messages/codec.py`).
+A topic's key stands below the fleet's name (`--fleet`, default `shoal`). A header of 28 bytes travels as Zenoh attachment:
+session u64, sequence u32, stamp i64 in ns, age i64 in ns, little-endian (`shoal/messages/codec.py`).
+"""
+TOPICS_HEAD = """*For* is empty where everyone may read; `log`: programs that record or watch, and the simulator, but no
+robot. `*`: not recorded. A number after the way of sending: so many messages are kept for a subscriber that comes later.
+"""
+
+MESSAGES_HEAD = """
+## Messages
+
+`[int]` is a list; a type with `?` may be missing. The fields of the lockstep's clock, and of records by which a step is
+repeated, are explained in the source.
 """
 
 
@@ -44,43 +55,47 @@ def _type(hint: Any, metadata: Any) -> str:
     if "shape" in metadata:
         return "float64 " + " × ".join("n" if n == -1 else str(n) for n in metadata["shape"])
     if get_origin(hint) is tuple:
-        return f"list of {get_args(hint)[0].__name__}"
+        return f"[{get_args(hint)[0].__name__}]"
     if get_origin(hint) is types.UnionType:
-        return " or ".join("nothing" if part is types.NoneType else part.__name__ for part in get_args(hint))
+        (present,) = (part for part in get_args(hint) if part is not types.NoneType)
+        return f"{present.__name__}?"
     return str(getattr(hint, "__name__", None) or "uint8 height × width")
 
 
 def _topic_row(topic: Topic) -> str:
-    rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "when it happens"
-    age = f"{topic.max_age_s:g} s" if math.isfinite(topic.max_age_s) else "never stale"
-    recorded = "yes" if topic.recorded else "no"
+    rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "events"
+    age = f"{topic.max_age_s:g} s" if math.isfinite(topic.max_age_s) else "never"
     name = topic.type.__name__
     cells = (
-        f"`{topic.name}`",
+        f"`{topic.name}`{'' if topic.recorded else ' *'}",
         f"[{name}](#{name.lower()})",
         topic.publisher,
-        topic.audience,
+        "" if topic.audience == "everyone" else "log",
         rate,
         age,
-        f"{topic.qos.name}, the last {topic.cache_depth} kept" if topic.cache_depth else topic.qos.name,
-        recorded,
+        f"{topic.qos.name} {topic.cache_depth}" if topic.cache_depth else topic.qos.name,
     )
     return f"| {' | '.join(cells)} |"
 
 
 def _message(cls: Any) -> Iterator[str]:
     yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n"
-    yield "| Field | Type | |\n|---|---|---|"
     hints, comments = get_type_hints(cls), field_comments(cls)
-    for field in dataclasses.fields(cls):
-        yield f"| `{field.name}` | {_type(hints[field.name], field.metadata)} | {comments[field.name]} |"
+    if any(topic.type is cls and (topic.qos is Qos.JOURNAL or topic in (topics.TICK, topics.EXPOSED)) for topic in TOPICS):
+        comments = dict.fromkeys(comments, "")  # of use beside the code that repeats a step, or keeps step
+    fields = [
+        (_type(hints[field.name], field.metadata), comments[field.name], field.name) for field in dataclasses.fields(cls)
+    ]
+    for (kind, comment), group in itertools.groupby(fields, key=lambda field: field[:2]):
+        every = [name for *_, name in group]
+        for names in [[name] for name in every] if comment else [every]:  # names without a comment share a line
+            yield f"* {', '.join(f'`{name}`' for name in names)} {kind}{f': {comment}' if comment else ''}"
 
 
 def _choices(cls: type[enum.IntEnum]) -> Iterator[str]:
-    yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n\n| Value | Name | |\n|---|---|---|"
-    comments = field_comments(cls)
-    for member in cls:
-        yield f"| {member.value} | {member.name} | {comments[member.name]} |"
+    comments = {name: comment.rstrip(".") for name, comment in field_comments(cls).items()}
+    members = [f"{m.value} {m.name}{f' ({comments[m.name]})' if comments[m.name] else ''}" for m in cls]
+    yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n\n{', '.join(members)}"
 
 
 def _enums() -> list[type[enum.IntEnum]]:
@@ -90,8 +105,8 @@ def _enums() -> list[type[enum.IntEnum]]:
 
 def page() -> str:
     """The whole page."""
-    lines = [HEAD, "## Topics\n"]
-    lines += ["| Key | Message | From | For | Rate | Stale after | Sent as | Recorded |", "|---|---|---|---|---|---|---|---|"]
+    lines = [HEAD, "## Topics\n", TOPICS_HEAD]
+    lines += ["| Key | Message | From | For | Rate | Stale after | Sent as |", "|---|---|---|---|---|---|---|"]
     lines += [_topic_row(topic) for topic in TOPICS]
     lines += [f"\n`{topics.COMMAND_KEY}` is a query: a [Command](#command) in, a [Reply](#reply) out."]
     camera = topics.POSE.of_camera("NAME").name
@@ -105,7 +120,10 @@ def page() -> str:
         "\n### How a topic is sent\n",
     ]
     lines += [f"* **{qos.name}**: {qos.value}." for qos in Qos]
-    lines += ["\n## Messages", *(line for cls in get_args(Message) for line in _message(cls))]
+    lines += [
+        MESSAGES_HEAD,
+        *(line for cls in get_args(Message) for line in _message(cls)),
+    ]
     lines += ["\n## Choices", *(line for cls in _enums() for line in _choices(cls))]
     return "\n".join(lines) + "\n"
 

@@ -20,7 +20,9 @@ package fleet;
 def _type_name(field: FieldDescriptorProto) -> str:
     """The type of a field as it stands in a .proto file."""
     name = field.type_name.rpartition(".")[2] or FieldDescriptorProto.Type.Name(field.type).removeprefix("TYPE_").lower()
-    return f"repeated {name}" if field.label == FieldDescriptorProto.LABEL_REPEATED else name
+    if field.label == FieldDescriptorProto.LABEL_REPEATED:
+        return f"repeated {name}"
+    return f"optional {name}" if field.proto3_optional else name
 
 
 def _message(cls: Any, message: DescriptorProto) -> Iterator[str]:

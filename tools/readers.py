@@ -13,7 +13,7 @@ from shoal.config.loader import sections_of
 
 ROOT = Path(__file__).parents[1]
 PROGRAMS = ("localizer", "robot_agent", "groundstation", "sim_bridge", "shoal")
-NAMED = 3  # modules in a cell; more are counted by package
+NAMED = 2  # modules in a cell; of more, the package is named if it is one
 WORD = re.compile(r"(\.?)\b([A-Za-z_]\w*)")
 TEXT = re.compile(r'""".*?"""', re.DOTALL)
 
@@ -72,4 +72,4 @@ def cell(name: str) -> str:
     if len(modules) <= NAMED:
         return ", ".join(f"`{module}`" for module in modules)
     packages = sorted({module.partition("/")[0] for module in modules})
-    return f"many modules of {', '.join(packages)}"
+    return packages[0] if len(packages) == 1 else ""

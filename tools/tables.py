@@ -1,5 +1,6 @@
 """Reference pages from tables in the programs: modes of a robot, parameters of a board, ways to fly."""
 
+import re
 from pathlib import Path
 
 from robot_agent.safety import guidance_states, modes
@@ -11,8 +12,8 @@ REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 
 MODES = """# Modes and guidance states of a robot
 
-Written by `make docs` from `robot_agent/safety/modes.py` and `robot_agent/safety/guidance_states.py`, which the agent reads
-too. `robot-agent modes` prints them. The reasons behind them: [modes.md](../modes.md).
+Written by `make docs` from the agent's own tables; `robot-agent modes` prints them. The reasons behind them:
+[modes.md](../modes.md).
 
 """
 GUIDANCE = """
@@ -46,9 +47,11 @@ CURVE = (
 def _parameters() -> str:
     """Every parameter but the curve's points, which are one row."""
     values = Parameters.of(load_experiment("pool")).values
-    rows = (
-        f"| `{row.name}` | {row.bounds} | {value:g} | {row.meaning} |\n" for row, value in zip(FIXED, values, strict=False)
-    )
+    by_text: dict[tuple[str, ...], list[str]] = {}  # parameters that differ by their output's number share a row
+    for row, value in zip(FIXED, values, strict=False):
+        text = (row.bounds, f"{value:g}", re.sub(r"output \d", "the output of that number", row.meaning))
+        by_text.setdefault(text, []).append(f"`{row.name}`")
+    rows = (f"| {', '.join(names)} | {' | '.join(text)} |\n" for text, names in by_text.items())
     return PARAMETERS + "".join(rows) + CURVE
 
 

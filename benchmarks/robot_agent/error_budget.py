@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.flights import prepared
 from benchmarks.harness import Row
 from robot_agent.vehicle.dynamics import propagate
 from robot_agent.vehicle.eso import Estimator
@@ -19,6 +18,7 @@ from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.experiment import load_experiment
 from shoal.frames import wrap
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
+from tests.flights.scene_flights import prepared
 
 BENCHMARK = "error_budget"
 SEEDS = range(1, 11)

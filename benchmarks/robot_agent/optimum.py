@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.flights import SceneFlight, flown
 from benchmarks.harness import Row, run_peer
 from benchmarks.robot_agent.error_budget import CAMERA
 from shoal.config.experiment import load_experiment
 from shoal.messages.messages import required
+from tests.flights.scene_flights import SceneFlight, flown
 
 BENCHMARK = "optimum"
 PERIOD_S = 0.05

@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.flights import flown
 from benchmarks.harness import Row
+from groundstation.analysis.comparison import wrenches
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import required
+from tests.flights.scene_flights import flown
 
 BENCHMARK = "robustness"
 SEEDS = (1, 2, 3)
@@ -54,9 +54,8 @@ def flight(name: str, settings: Sequence[str], seed: int) -> tuple[float, float]
     stopped = {state.fault for states in flight.states for state in states if state.fault}
     if stopped:
         print(f"{name} {' '.join(settings)} seed={seed}: not flown to the end: {', '.join(stopped)}", file=sys.stderr)
-    change = np.array(
-        [[required(state.control).wrench_step for state in states[flight.settled :]] for states in flight.states]
-    )
+    after = [states[flight.settled :] for states in flight.states]
+    change = wrenches(after, "wrench_step", len(experiment.wrench_step))
     rms = np.sqrt(np.mean(flight.error[flight.settled :, :, :3] ** 2, axis=0)).max()
     smooth = (np.sqrt(np.mean(change**2, axis=1)) / experiment.wrench_step).max()
     return 1e3 * float(rms), 100.0 * float(smooth)

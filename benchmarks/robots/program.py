@@ -14,14 +14,14 @@ from rich.console import Console
 
 from benchmarks import evidence
 from benchmarks.robots import report
-from benchmarks.robots.cells import CELLS, draw
-from benchmarks.robots.figures import FlightFigures, figures
-from benchmarks.robots.flights import FlightLog, fly
 from benchmarks.robots.report import GridRun
 from shoal.config.experiment import load_experiment
 from shoal.runtime.cli_options import finite
 from shoal.runtime.output import terminal
 from sim_bridge.studies.worker_pool import one_thread, worker_pool
+from tests.flights.cells import CELLS, draw
+from tests.flights.figures import FlightFigures, figures
+from tests.flights.grid_flights import FlightLog, fly
 
 EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence" / "robots"
 HOUR_S = 3600.0
@@ -84,7 +84,7 @@ def main(
     page = report.markdown(run, before)
     console.print(page, markup=False, highlight=False, soft_wrap=True)
     if write:
-        evidence.write(EVIDENCE, page, report.as_json(run))
+        evidence.write(EVIDENCE, report.markdown(run), report.as_json(run))
     if json_file is not None:
         evidence.write_json(json_file, report.as_json(run))
 

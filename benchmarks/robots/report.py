@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from benchmarks import evidence
-from benchmarks.robots.cells import CELLS
-from benchmarks.robots.claims import GROUPS
-from benchmarks.robots.figures import FlightFigures
+from tests.flights.cells import CELLS
+from tests.flights.claims import GROUPS
+from tests.flights.figures import FlightFigures
 
 NEAREST_M = 0.6  # 2 R of every flight of the grid
 SETTLED_S, HELD_M, STOPPED_S, EIGHT_M = 15.0, 0.02, 3.0, 0.005  # targets
@@ -115,7 +115,7 @@ def targets(run: GridRun) -> list[tuple[str, str, str]]:
         (
             f"eight, {', '.join(CELLS[m].about for m in MODELS)}: RMS after 20 s, worst",
             "5 mm each",
-            ", ".join(f"{1e3 * worst:.1f} mm" for m in MODELS if (worst := _worst_eight(run.of(m))) > 0.0),
+            ", ".join(f"{evidence.short(1e3 * worst)} mm" for m in MODELS if (worst := _worst_eight(run.of(m))) > 0.0),
         ),
         ("starts 0.5 to 2 m off in a current of 0.6 to 0.8: within 5 cm after 15 s", "all", _share(settled, strong)),
         ("false stops", "<= 1 of 2,000", _share(sum(f.is_stop for f in fair), fair)),
@@ -177,41 +177,53 @@ def _nees(flights: Sequence[FlightFigures]) -> dict[str, float]:
 
 Column = tuple[str, Callable[[Sequence[FlightFigures]], str]]
 
-COUNTS: tuple[Column, ...] = (
-    ("Flights", lambda group: str(len(group))),
-    ("Refused", lambda group: str(sum(bool(f.refused) for f in group))),
-    ("Stopped", lambda group: str(sum(f.is_stop for f in group))),
-)
-INPUTS: tuple[Column, ...] = (
-    (
-        "NEES place, turn, velocity, current",
-        lambda group: ", ".join(f"{n:.2g}" if (n := _nees(group).get(g)) is not None else "-" for g in GROUPS),
-    ),
-    ("Duty, %", lambda group: evidence.spread((f.duty for f in group), 100.0)),
-    ("Steps, %", lambda group: evidence.spread((f.steps for f in group), 100.0)),
-)
+
+def _worst(values: Iterable[float], scale: float) -> str:
+    """The largest; empty where nothing is known."""
+    return evidence.spread(values, scale).partition(" ")[0]
+
+
+def _trouble(group: Sequence[FlightFigures]) -> str:
+    """Flights of each kind of trouble; empty if there is none."""
+    counts = {
+        "refused": sum(bool(f.refused) for f in group),
+        "stopped": sum(f.is_stop for f in group),
+        "lost": sum(_is_lost(f) for f in group),
+        "below 2R": sum(near < NEAREST_M for near in _nearest(group)),
+    }
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+
+
+def _worst_nees(group: Sequence[FlightFigures]) -> str:
+    """The mean NEES of a group of states that is farthest from 1 as a ratio, and the group; empty if none is claimed."""
+    nees = {name: mean for name, mean in _nees(group).items() if mean > 0.0}
+    if not nees:
+        return ""
+    name = max(nees, key=lambda each: abs(math.log(nees[each])))
+    return f"{nees[name]:.2g} {name}"
+
+
+FLIGHTS: Column = ("Flights", lambda group: str(len(group)))
+TROUBLE: Column = ("Trouble", _trouble)
+NEES: Column = ("NEES", _worst_nees)
 PATH_COLUMNS: tuple[Column, ...] = (
-    *COUNTS,
-    ("Never settled", lambda group: str(sum(f.never_settled for f in group))),
-    ("Within 5 cm after, s", lambda group: evidence.spread((f.settled_s for f in group), 1.0)),
-    ("RMS after 20 s, mm", lambda group: evidence.spread(f.rms_m for f in group)),
-    ("Largest after 20 s, mm", lambda group: evidence.spread(f.max_m for f in group)),
-    ("HOLD, mm", lambda group: evidence.spread(f.hold_m for f in group)),
-    *INPUTS,
+    FLIGHTS,
+    TROUBLE,
+    ("Within 5 cm, s", lambda group: _worst((f.settled_s for f in group), 1.0)),
+    ("RMS, mm", lambda group: _worst((f.rms_m for f in group), 1e3)),
+    ("HOLD, mm", lambda group: _worst((f.hold_m for f in group), 1e3)),
+    NEES,
 )
 MEETING_COLUMNS: tuple[Column, ...] = (
-    *COUNTS,
+    FLIGHTS,
+    TROUBLE,
     ("Nearest, m", lambda group: f"{min(_nearest(group)):.3f}" if _nearest(group) else ""),
-    ("Below 2R", lambda group: str(sum(near < NEAREST_M for near in _nearest(group)))),
-    ("Never back", lambda group: str(sum(_is_lost(f) for f in group))),
-    ("Back after, s", lambda group: evidence.spread((f.back_s for f in group), 1.0)),
-    *INPUTS,
+    ("Back, s", lambda group: _worst((f.back_s for f in group), 1.0)),
+    NEES,
 )
 TRAP_COLUMNS: tuple[Column, ...] = (
-    ("Flights", lambda group: str(len(group))),
-    ("Refused at the start", lambda group: str(sum(bool(f.refused) for f in group))),
-    ("Never stops", lambda group: str(sum(f.stop_s == math.inf for f in group))),
-    ("Stops after, s", lambda group: evidence.spread((f.stop_s for f in group), 1.0)),
+    FLIGHTS,
+    ("Stops after, s", lambda group: _worst((f.stop_s for f in group), 1.0)),
     ("Cause named", lambda group: str(sum(f.is_named for f in group))),
 )
 
@@ -225,26 +237,21 @@ def _sections(run: GridRun) -> list[tuple[str, tuple[Column, ...], list[str]]]:
 
 
 def markdown(run: GridRun, before: GridRun | None = None) -> str:
-    """The page of evidence, each figure beside that of another run if there is one."""
+    """The page of evidence; the targets beside those of another run if there is one."""
     worst = worst_of([flight for flight in run.flights if not CELLS[flight.cell].is_trap] or run.flights)
     lines = [
         "# Robots that nobody tuned for: a grid of numeric flights",
         "",
-        f"{run.origin}.",
-        f"Flown: **{run.law}**{_with(run.settings)}.",
-        *(
-            [f"Before it, in the same cell of a table: **{before.law}**{_with(before.settings)}, {before.origin}."]
-            if before
-            else []
-        ),
+        f"{run.origin}. Flown: **{run.law}**{_with(run.settings)}.",
+        *([f"Before it: **{before.law}**{_with(before.settings)}, {before.origin}."] if before else []),
         "",
-        "Poses are the simulation's with noise, without a camera; figures are against the plant's truth. The first number is",
-        "the worst flight's, the one in brackets the median. Flights differ in path, control rate (10, 20, 50 Hz), speed,",
-        f"start and sensors within a cell. HOLD lasts {run.hold_s:g} s and counts from 10 s on. NEES is 1 where the",
-        "observer's covariances are true; - stands for states that it gives no covariance for. Duty and steps are those of",
-        "the worst input, in percent of its limit.",
+        "Poses are the simulation's with noise, without a camera. Figures are against the plant's truth; each cell's are",
+        "those of its worst flight (the JSON file has all). In a cell flights differ in path, control rate (10, 20, 50 Hz),",
+        f"speed, start and sensors. RMS is from 20 s on; HOLD lasts {run.hold_s:g} s and is measured from 10 s on. NEES is 1",
+        "where the observer's covariances are true; shown is the worst group of states.",
+        "A flight is lost if it never settles or never comes back.",
         "",
-        f"Any flight again: `{run.command.format('CELL', 'N')}`. The worst one of all:",
+        f"A flight again: `{run.command.format('CELL', 'N')}`. The worst one of all:",
         f"`{run.command.format(worst.cell, worst.number)}`.",
         "",
         "## Targets",
@@ -253,9 +260,8 @@ def markdown(run: GridRun, before: GridRun | None = None) -> str:
     ]
     for heading, columns, cells in _sections(run):
         if cells:
-            names = ("Cell", *(name for name, _ in columns), "Worst")
-            lines += ["", f"## {heading}", "", *evidence.table(names, (_row(cell, columns, run, before) for cell in cells))]
-    lines += ["", "## Cells", "", *(f"* {cell}: {CELLS[cell].about}" for cell in run.cells)]
+            names = ("Cell", *(name for name, _ in columns), "Worst", "What")
+            lines += ["", f"## {heading}", "", *evidence.table(names, (_row(cell, columns, run) for cell in cells))]
     return "\n".join([*lines, "", "## Stops and refusals", "", *(_reasons(run) or ["None in any flight."]), ""])
 
 
@@ -273,23 +279,23 @@ def _target_table(run: GridRun, before: GridRun | None) -> tuple[tuple[str, ...]
     ]
 
 
-def _row(cell: str, columns: Sequence[Column], run: GridRun, before: GridRun | None) -> list[str]:
-    group, earlier = run.of(cell), before.of(cell) if before is not None else []
-    cells = [f"{show(earlier)} → {show(group)}" if earlier else show(group) for _, show in columns]
-    return [cell, *cells, str(worst_of(group).number)]
+def _row(cell: str, columns: Sequence[Column], run: GridRun) -> list[str]:
+    group, about = run.of(cell), CELLS[cell].about
+    is_named = about.split() == cell.split("-", 1)  # a vehicle: its name says it
+    return [cell, *(show(group) for _, show in columns), str(worst_of(group).number), "" if is_named else about]
 
 
 def _reasons(run: GridRun) -> list[str]:
-    """Reasons of stops and refusals of each cell, the most frequent first."""
-    lines = []
-    for cell in run.cells:
-        counts = Counter(reason for f in run.of(cell) if (reason := f.refused or _reason(f.left)))
-        if counts:
-            lines.append(f"* {cell}: {'; '.join(f'{count} x {reason}' for reason, count in counts.most_common())}")
-    return lines
+    """Reasons of stops and refusals, the most frequent first, each with the cells in which it was given."""
+    cells: dict[str, Counter[str]] = {}
+    for flight in run.flights:
+        if reason := flight.refused or _reason(flight.left):
+            cells.setdefault(reason, Counter())[flight.cell] += 1
+    ordered = sorted(cells.items(), key=lambda item: -item[1].total())
+    return [f"* {reason}: {', '.join(f'{n} {cell}' for cell, n in counts.items())}" for reason, counts in ordered]
 
 
 def _reason(left: str) -> str:
-    """Mode and reason without the time."""
+    """Mode and reason, without the time and the details that differ from flight to flight."""
     before, _, reason = left.partition(" s: ")
-    return f"{before.partition(' after ')[0].rpartition(' ')[2]}: {reason}" if left else ""
+    return f"{before.partition(' after ')[0].rpartition(' ')[2]}: {reason.partition(':')[0]}" if left else ""

@@ -37,10 +37,11 @@ static bool has_temperature, has_value;
 static uint32_t raw_temperature;
 static uint8_t converting; /* the command of the conversion that goes on */
 
-/* Not live from now on, and to be begun anew after so many samples. Returns false: nothing is measured. */
+/* Not live from now on, and to be begun anew: one that was live after so many samples, another one once a second. Returns false:
+nothing is measured. */
 static bool lose(struct chip *chip, uint8_t state, uint8_t wait) {
+    chip->wait = chip->state == CHIP_LIVE ? wait : RETRY_SAMPLES;
     chip->state = state;
-    chip->wait = wait;
     return false;
 }
 

@@ -17,7 +17,7 @@ enum { CHANNELS = 8, RING = 1 << 16, EDGES = 1 << 16, PAINT = 0xA5, MPU = 0x68, 
 enum { PIND_ = 0x29, DDRD_ = 0x2A, EECR_ = 0x3F, EEDR_ = 0x40, EEARL_ = 0x41, MCUSR_ = 0x54, TWSR_ = 0xB9, TWDR_ = 0xBB, TWCR_ = 0xBC };
 enum { EERE_ = 1, EEPE_ = 2, EEMPE_ = 4, TWEN_ = 4, TWSTO_ = 16, TWSTA_ = 32, TWEA_ = 64, TWINT_ = 128, SCL_ = 1, SDA_ = 2 };
 enum { EEPROM_CYCLES = 3400 * 16, ENABLE_CYCLES = 6, EDGE_CYCLES = 40, BYTE_CYCLES = 360 }; /* of the bus at 400 kHz */
-enum { CONVERSION_CYCLES = 9040 * 16, PROM_CYCLES = 2800 * 16 };
+enum { CONVERSION_CYCLES = 9040 * 16, STRETCH_CYCLES = 2000 * 16 };
 
 struct edge {
     uint64_t cycle;
@@ -25,7 +25,7 @@ struct edge {
 };
 
 /* What can be wrong with a chip. */
-enum fault { ABSENT, FROZEN, WRONG, LATE, FAULTS };
+enum fault { ABSENT, FROZEN, WRONG, LATE, ASLEEP, FAULTS };
 
 struct chip {
     uint8_t address, at, first, has_first; /* `first` byte after the address: register or command */
@@ -41,13 +41,18 @@ struct chip {
 struct bus {
     struct chip *selected;
     uint8_t is_started, has_address, reads, status;
-    uint8_t held;   /* clocks for which a chip still holds SDA */
+    uint32_t held;       /* clocks for which a chip still holds SDA */
+    uint32_t holds_for;  /* clocks for which it will */
     uint8_t cut_in; /* data bytes after which a chip stops in the middle of one, as after a reset of the processor; 0: never */
 };
 
 struct pin {
     struct simulation *simulation;
     uint32_t channel;
+    uint8_t is_high, waits;      /* a pulse is under way; a new width waits for its end */
+    uint16_t width;              /* that one, as the compare register takes it */
+    avr_io_write_t write_width;  /* simavr's own, */
+    void *parameter;             /* with its parameter */
 };
 
 struct simulation {
@@ -68,6 +73,8 @@ struct simulation {
     uint32_t pressure, temperature; /* raw, of the MS5837 */
     uint32_t loop_address, idle_address; /* of loop_once and hal_idle, in bytes */
     uint64_t loop_since, loop_worst, loop_cycles;
+    uint32_t watched;                     /* address of a function, in bytes */
+    uint64_t called, calls, longest_gap;  /* cycle of its last call; since the last look: calls, and cycles between two of them */
     uint16_t paint_from;
     uint8_t hung, kept[2];
 };
@@ -84,12 +91,12 @@ static void power_chip(struct chip *chip, uint8_t address) {
     chip->sent = 1;
 }
 
-static uint8_t imu_answer(struct simulation *s, struct chip *chip, uint8_t reg, uint8_t at) {
+static uint8_t imu_answer(struct simulation *s, struct chip *chip, uint8_t reg) {
     if (reg == 0x75)
         return chip->fault[WRONG] ? 0x70 : MPU;
     if (reg < 0x3B || reg > 0x48)
-        return chip->registers[reg & 127];
-    if (chip->registers[0x6B] & 0x40)
+        return (uint8_t)(chip->registers[reg & 127] | (reg == 0x6B && chip->fault[ASLEEP] ? 0x40 : 0));
+    if (chip->registers[0x6B] & 0x40 || chip->fault[ASLEEP])
         return 0;
     const uint8_t which = (uint8_t)((reg - 0x3B) / 2);
     int word = s->imu[which];
@@ -97,7 +104,7 @@ static uint8_t imu_answer(struct simulation *s, struct chip *chip, uint8_t reg, 
         word *= 2; /* the range is half of what it should be */
     if (which < 3 && !chip->fault[FROZEN])
         word += (int)(chip->samples % 3) - 1; /* noise */
-    chip->samples += at == 0;
+    chip->samples += reg == 0x48; /* the last byte of a sample */
     return (uint8_t)(reg % 2 ? word >> 8 : word); /* 0x3B is the first high byte */
 }
 
@@ -111,7 +118,7 @@ static uint8_t pressure_answer(struct simulation *s, struct chip *chip, uint8_t 
     uint32_t result = chip->converted == 0x58 ? s->temperature : s->pressure;
     if (!chip->fault[FROZEN])
         result ^= chip->samples & 1; /* noise */
-    if (chip->sent || chip->converted == 0)
+    if (chip->sent || chip->converted == 0 || chip->fault[ASLEEP])
         result = 0;
     if (at == 2) {
         chip->sent = 1;
@@ -122,7 +129,7 @@ static uint8_t pressure_answer(struct simulation *s, struct chip *chip, uint8_t 
 
 static uint8_t answer(struct simulation *s, struct chip *chip) {
     const uint8_t at = chip->at++;
-    return chip->address == MPU ? imu_answer(s, chip, (uint8_t)(chip->first + at), at) : pressure_answer(s, chip, at);
+    return chip->address == MPU ? imu_answer(s, chip, (uint8_t)(chip->first + at)) : pressure_answer(s, chip, at);
 }
 
 /* A byte behind the address; true if it is acknowledged. */
@@ -162,9 +169,11 @@ static avr_cycle_count_t end_of_stop(avr_t *avr, avr_cycle_count_t when, void *p
     return 0;
 }
 
+/* A late IMU holds the clock meanwhile. */
 static void end_later(struct simulation *s, uint8_t status, uint32_t cycles) {
+    const struct chip *chip = s->bus.selected;
     s->bus.status = status;
-    avr_cycle_timer_register(s->avr, cycles, end_of_bus_step, s);
+    avr_cycle_timer_register(s->avr, chip == &s->chips[0] && chip->fault[LATE] ? STRETCH_CYCLES : cycles, end_of_bus_step, s);
 }
 
 static uint8_t address_step(struct simulation *s) {
@@ -225,7 +234,7 @@ static void on_twcr(avr_t *avr, avr_io_addr_t address, uint8_t value, void *para
         end_later(s, address_step(s), BYTE_CYCLES);
     else if (bus->is_started) {
         if (bus->cut_in > 0 && bus->reads && --bus->cut_in == 0) {
-            bus->held = 5; /* in the middle of a byte whose next bits are 0 */
+            bus->held = bus->holds_for; /* in the middle of a byte whose next bits are 0 */
             show_lines(s);
         } else
             end_later(s, data_step(s, value), BYTE_CYCLES);
@@ -276,6 +285,8 @@ static void on_reset(avr_io_t *io) {
     struct simulation *s = (struct simulation *)((char *)io - offsetof(struct simulation, io));
     s->bus.is_started = 0;
     s->loop_since = 0;
+    for (uint32_t i = 0; i < CHANNELS; i++)
+        s->pins[i].is_high = s->pins[i].waits = 0;
     if (s->ee_until > 0) { /* a write goes on through a reset */
         s->ee_until = s->avr->cycle + EEPROM_CYCLES;
         avr_cycle_timer_register(s->avr, EEPROM_CYCLES, end_of_write, s);
@@ -291,9 +302,35 @@ static void on_byte(struct avr_irq_t *irq, uint32_t value, void *parameter) {
     (void)irq;
 }
 
+/* --- the servo pins: simavr takes a new width in the middle of a pulse, and misses its end if that has passed; an ATmega's compare
+registers are buffered */
+
+static const uint8_t COMPARE[CHANNELS] = {0x98, 0x9A, 0x9C, 0xA8, 0xAA, 0xAC, 0x88, 0x8A}; /* OCR3A, B, C, OCR4A, B, C, OCR1A, B */
+
+static avr_cycle_count_t take_width(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    struct pin *pin = parameter;
+    const uint8_t low = COMPARE[pin->channel];
+    (void)when;
+    pin->waits = 0;
+    avr->data[low + 1] = (uint8_t)(pin->width >> 8);
+    pin->write_width(avr, low, (uint8_t)pin->width, pin->parameter);
+    return 0;
+}
+
+static void on_width(avr_t *avr, avr_io_addr_t address, uint8_t value, void *parameter) {
+    struct pin *pin = parameter;
+    pin->width = (uint16_t)(avr->data[address + 1] << 8 | value);
+    pin->waits = pin->is_high;
+    if (!pin->waits)
+        take_width(avr, avr->cycle, pin);
+}
+
 static void on_pin(struct avr_irq_t *irq, uint32_t value, void *parameter) {
     struct pin *pin = parameter;
     struct simulation *s = pin->simulation;
+    pin->is_high = value != 0;
+    if (!pin->is_high && pin->waits)
+        avr_cycle_timer_register(s->avr, 1, take_width, pin);
     if (s->edge_count < EDGES && irq->value != value)
         s->edges[s->edge_count++] = (struct edge){s->avr->cycle, pin->channel, value};
 }
@@ -314,10 +351,11 @@ static void attach(struct simulation *s) {
     flags &= ~(uint32_t)AVR_UART_FLAG_POLL_SLEEP;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, s);
-    for (uint8_t i = 4; i <= 5; i++) /* two servo pins are also INT4 and INT5: simavr looks at them in each cycle while they are low */
-        avr_extint_set_strict_lvl_trig(avr, i, 0);
     for (uint32_t i = 0; i < CHANNELS; i++) {
-        s->pins[i] = (struct pin){s, i};
+        s->pins[i] = (struct pin){.simulation = s, .channel = i, .write_width = avr->io[AVR_DATA_TO_IO(COMPARE[i])].w.c,
+                                  .parameter = avr->io[AVR_DATA_TO_IO(COMPARE[i])].w.param};
+        avr->io[AVR_DATA_TO_IO(COMPARE[i])].w.c = on_width;
+        avr->io[AVR_DATA_TO_IO(COMPARE[i])].w.param = &s->pins[i];
         avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(PORTS[i]), PINS[i]), on_pin, &s->pins[i]);
     }
     power_chip(&s->chips[0], MPU);
@@ -377,8 +415,17 @@ void simulation_power_chip(struct simulation *s, uint32_t chip) { power_chip(&s-
 /* A register of the IMU changes by itself. */
 void simulation_glitch(struct simulation *s, uint8_t address, uint8_t value) { s->chips[0].registers[address & 127] = value; }
 
-/* A chip stops in the middle of a byte of the read that comes, and holds the bus. */
-void simulation_hold_bus(struct simulation *s, uint8_t bytes) { s->bus.cut_in = bytes; }
+/* A chip stops in the middle of a byte of the read that comes, and holds the bus for so many clocks. */
+void simulation_hold_bus(struct simulation *s, uint8_t bytes, uint32_t clocks) {
+    s->bus.cut_in = bytes;
+    s->bus.holds_for = clocks;
+}
+
+/* The bus is free again. */
+void simulation_free_bus(struct simulation *s) {
+    s->bus.held = s->bus.cut_in = 0;
+    show_lines(s);
+}
 
 /* What the sensors measure, in their own numbers. */
 void simulation_measure(struct simulation *s, const int16_t imu[7], uint32_t pressure) {
@@ -423,8 +470,28 @@ static void note_loop(struct simulation *s, int begins) {
     s->loop_since = begins ? s->avr->cycle : 0;
 }
 
+static void note_call(struct simulation *s) {
+    const uint64_t gap = s->avr->cycle - s->called;
+    s->longest_gap = s->calls > 0 && gap > s->longest_gap ? gap : s->longest_gap;
+    s->called = s->avr->cycle;
+    s->calls++;
+}
+
+/* Watch a function from now on; its calls since then, and the cycles of the longest time between two of them. */
+void simulation_watch(struct simulation *s, uint32_t address) {
+    s->watched = address;
+    s->calls = s->longest_gap = 0;
+}
+
+void simulation_calls(const struct simulation *s, uint64_t calls[2]) {
+    calls[0] = s->calls;
+    calls[1] = s->longest_gap;
+}
+
 /* Run to this cycle; 0 if the processor crashed. */
 int simulation_run(struct simulation *s, uint64_t cycle) {
+    for (uint8_t i = 4; i <= 5; i++) /* two servo pins are also INT4 and INT5: since a reset simavr looks at them in each cycle while low */
+        avr_extint_set_strict_lvl_trig(s->avr, i, 0);
     int state = cpu_Running;
     const uint64_t now = s->avr->cycle;
     if (now < cycle)
@@ -435,6 +502,8 @@ int simulation_run(struct simulation *s, uint64_t cycle) {
         state = avr_run(s->avr);
         if (s->avr->pc == s->loop_address || s->avr->pc == s->idle_address)
             note_loop(s, s->avr->pc == s->loop_address);
+        else if (s->avr->pc == s->watched)
+            note_call(s);
     }
     return state != cpu_Done && state != cpu_Crashed;
 }

@@ -47,6 +47,7 @@ FRESH_S = 2.0  # a clock that begins anew there and is below this has been start
 TURNED_S = 1.0  # a flight that is on its way home so soon was nothing else
 HOMEWARD = "RETURNING"  # the mission's state in the station's heartbeat (groundstation/mission/state_machine.py)
 SPARE_S = 3600.0  # a flight may take twice its duration and this: longer is a clock that leaps, and would fill the memory
+EARLIER_NS = 1_000_000_000  # that a line of the log may be older than the log
 PERIODS_S = (0.001, 10.0)  # of a trajectory's samples; the agent takes up to 1 s
 
 
@@ -407,7 +408,7 @@ def hops_of(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Arr
     known."""
     unknown = np.full(len(HOPS), np.nan)
     timing = state.message.timing
-    if inputs is None or inputs.pose is None or timing.exposure_to_pwm_ms <= 0.0:
+    if inputs is None or inputs.pose is None or timing.exposure_to_pwm_ms is None or timing.pose_age_ms is None:
         return unknown
     told_ms = inputs.pose_told_age_ns * 1e-6
     age_ms = (state.stamp_ns - state.shift_ns - inputs.pose_instant_ns) * 1e-6  # both on the robot's own clock
@@ -451,8 +452,11 @@ def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> t
                 text = now[0] + (f": {now[1]}" if now[1] else "")
                 events.append(TimelineEvent((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
             before = now
+    begun_ns = min((e.arrived_ns for entries in log.entries.values() for e in entries), default=0) - EARLIER_NS
     for event in log.of(topics.EVENT, Event):
         m = event.message
+        if event.stamp_ns < begun_ns:  # of an earlier run: its sender goes on, and has kept it
+            continue
         events.append(TimelineEvent((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
     senders: dict[str, Sequence[DecodedMessage[Any]]] = {f"robot {robot}": r.states for robot, r in recorded.items()}
     senders["groundstation"] = log.of(topics.HEARTBEAT, StationHeartbeat)

@@ -8,14 +8,15 @@ magnitude and rate were limited. Changes of inputs are shares of the largest tha
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.frames import Array, pose_error
-from shoal.messages.messages import Mode, RobotState, required
+from shoal.messages.messages import Mode, RobotState
 
 SETTLED_S = 20.0
 ERROR_STRIDE = 10  # of control steps, in a plot's trace
@@ -59,12 +60,22 @@ class Traces:
 
 
 @dataclass(frozen=True)
+class StepTimes:
+    """Processor time of the control steps of a flight, in µs: estimate, plan and allocation."""
+
+    median: float
+    p99: float
+    most: float
+
+
+@dataclass(frozen=True)
 class FlightRecord:
     """One variant on one seed."""
 
     seed: int
     figures: FlightMetrics
     traces: Traces | None = None  # of the first seed
+    step_us: StepTimes | None = field(default=None, compare=False)  # the machine's, so no two flights have the same
 
 
 @dataclass(frozen=True)
@@ -106,10 +117,25 @@ class Comparison:
 
 
 def _flight(table: dict[str, object]) -> FlightRecord:
-    figures, traces = table["figures"], table["traces"]
-    if not isinstance(figures, dict) or not isinstance(traces, dict | None):
-        raise TypeError("figures and traces must be objects")
-    return FlightRecord(int(str(table["seed"])), FlightMetrics(**figures), Traces(**traces) if traces is not None else None)
+    figures, traces, step_us = table["figures"], table["traces"], table.get("step_us")
+    if not isinstance(figures, dict) or not isinstance(traces, dict | None) or not isinstance(step_us, dict | None):
+        raise TypeError("figures, traces and step_us must be objects")
+    return FlightRecord(
+        int(str(table["seed"])),
+        FlightMetrics(**figures),
+        Traces(**traces) if traces is not None else None,
+        StepTimes(**step_us) if step_us is not None else None,
+    )
+
+
+def step_times(states: Iterable[Sequence[RobotState]]) -> StepTimes | None:
+    """Times of all robots' control steps; None where none was measured."""
+    took_us = np.array([state.timing.step_us for each in states for state in each])
+    took_us = took_us[took_us > 0.0]
+    if not len(took_us):
+        return None
+    median, p99 = np.quantile(took_us, [0.5, 0.99]).tolist()
+    return StepTimes(median, p99, float(took_us.max()))
 
 
 def flight_figures(experiment: Experiment, states: list[list[RobotState]], truth: Array, error: Array) -> FlightMetrics:
@@ -117,11 +143,12 @@ def flight_figures(experiment: Experiment, states: list[list[RobotState]], truth
     limits, first = experiment.vehicle.limits, round(SETTLED_S / experiment.controller.period_s)
     distance = np.linalg.norm(error[:, :, :3], axis=2)
     formation, separation = _pairs(truth, error)
-    wanted = _values(states, "wrench_wanted") / np.array(limits.wrench)
+    axes = len(limits.wrench)
+    wanted = wrenches(states, "wrench_wanted", axes) / np.array(limits.wrench)
     quick = np.diff(wanted, axis=1) * np.array(limits.wrench) / experiment.wrench_step
     large = (np.abs(wanted) > 1.0 + 1e-9).any(axis=2)[:, 1:]
     fast = (np.abs(quick) > 1.0 + 1e-9).any(axis=2)
-    steps = _values(states, "wrench_step") / experiment.wrench_step
+    steps = wrenches(states, "wrench_step", axes) / experiment.wrench_step
     return FlightMetrics(
         rms_m=_rms_all(distance),
         rms_after_20s_m=_rms_all(distance[first:]),
@@ -157,14 +184,19 @@ def flight_traces(period_s: float, states: list[list[RobotState]], error: Array)
         error_period_s=round(ERROR_STRIDE * period_s, 9),
         error_m=[round(value, 6) for value in root.tolist()],
         input_period_s=round(period_s, 9),
-        wanted_n=np.round(_values(states, "wrench_wanted")[:, :shown, 0], 4).tolist(),
-        applied_n=np.round(_values(states, "wrench")[:, :shown, 0], 4).tolist(),
+        wanted_n=np.round(wrenches(states, "wrench_wanted", 1)[:, :shown, 0], 4).tolist(),
+        applied_n=np.round(wrenches(states, "wrench", 1)[:, :shown, 0], 4).tolist(),
     )
 
 
-def _values(states: list[list[RobotState]], key: str) -> Array:
-    """A field of the control in all states, (n, steps, 3)."""
-    return np.array([[getattr(required(state.control), key) for state in each] for each in states])
+def wrenches(states: list[list[RobotState]], key: str, axes: int) -> Array:
+    """The first axes of a wrench in all states, (n, steps, axes). 0 for a robot that has given up: it wants and gives none."""
+    rows = np.zeros((len(states), len(states[0]), axes))
+    for i, each in enumerate(states):
+        for k, state in enumerate(each):
+            if state.control is not None:
+                rows[i, k] = getattr(state.control, key)[:axes]
+    return rows
 
 
 def _rms_all(values: Array) -> float:

@@ -26,6 +26,20 @@ MEASURES = {
     "at_fault": "share of control steps in which a robot reported a fault: why it held, stopped or gave up",
     "off_track": "share of control steps in which a robot was not tracking",
     "unsolved": "share of control steps without a fresh solution",
+    "step_p50_us": "time of a control step, median of all robots [µs]",
+    "step_p99_us": "time of a control step, 99 % of all take less [µs]",
+}
+TIMINGS = ("step_p50_us", "step_p99_us")  # the machine's: two flights with the same seed have others
+
+# Names of axes and columns, for the measures that are compared.
+LABELS = {
+    "rms_m": "RMS error",
+    "rms_after_20s_m": "RMS error after 20 s",
+    "max_after_20s_m": "Largest error after 20 s",
+    "rms_yaw_after_20s_rad": "RMS heading error after 20 s",
+    "wrench_step_rms": "RMS input change, of the limit",
+    "step_p50_us": "Control step, median",
+    "step_p99_us": "Control step, 99 %",
 }
 
 
@@ -52,6 +66,8 @@ def measures(series: Series, log: RunLog, result: Result) -> dict[str, float | N
         "at_fault": _share(states, lambda state: bool(state.fault)),
         "off_track": _share(states, lambda state: state.mode is not Mode.TRACKING),
         "unsolved": _share(states, lambda state: state.control is None or state.control.solve is not Solve.SOLVED),
+        "step_p50_us": result.control_step_us.p50 if result.control_step_us else None,
+        "step_p99_us": result.control_step_us.p99 if result.control_step_us else None,
     }
 
 

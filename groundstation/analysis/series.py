@@ -27,14 +27,14 @@ Mask = NDArray[np.bool_]
 P = TypeVar("P")
 
 
-Numbers = float | Array | Sequence[int]
+Numbers = float | Array | Sequence[int] | None
 
 
 def rows_of(parts: Sequence[P | None], value: Callable[[P], Numbers], empty: P, width: int) -> Array:
     """A value of each part as rows (m,) or (m, k) of one width, at least `width`; NaN where there is no part, and behind
     shorter ones. `empty` is such a part, which says what the value looks like."""
-    values = [None if part is None else np.asarray(value(part), dtype=np.float64) for part in parts]
-    shapes = [np.shape(value(empty)), *(row.shape for row in values if row is not None)]
+    values = [None if part is None else np.asarray(value(part), dtype=np.float64) for part in parts]  # None becomes NaN
+    shapes = [np.shape(np.asarray(value(empty), dtype=np.float64)), *(row.shape for row in values if row is not None)]
     if shapes[0] == ():
         return np.array([np.nan if row is None else row for row in values], dtype=np.float64)
     rows = np.full((len(values), max(width, *(shape[0] for shape in shapes))), np.nan)

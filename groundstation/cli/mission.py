@@ -24,7 +24,7 @@ from shoal.config.formation_shapes import SHAPES
 from shoal.config.scene import FORM_USAGE
 from shoal.messages.messages import Command, Order, Outcome, Reply
 from shoal.messages.topics import WHOLE_FLEET
-from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, finite
+from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, Settings, finite
 from shoal.system.printable import printable
 
 P = ParamSpec("P")
@@ -62,7 +62,6 @@ Robot = Annotated[
     ),
 ]
 HELP = {
-    "load": "Load the trajectories into all robots, and go no further.",
     "arm": "Load the trajectories and arm all robots, and go no further.",
     "start": "Load, arm and start: fly the experiment.",
     "hold": "Make all robots hold their places under power.",
@@ -167,8 +166,44 @@ def register(cli: typer.Typer, name: str, group: str = "") -> None:
 
 
 for _name in (*FLEET_REQUESTS, *map(order_name, WATER)):
-    if _name not in ("stop", "end"):  # words of their own
+    if _name not in ("stop", "end", "load"):  # words of their own
         register(mission_cli, _name, "mission ")
+
+
+@mission_cli.command()
+@request
+def load(
+    experiment: Annotated[
+        str | None,
+        typer.Argument(metavar="[EXPERIMENT]", help="Another one for the same robots: a shipped name, or a .toml file."),
+    ] = None,
+    settings: Settings = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be flown, or why it cannot be.")] = False,
+) -> tuple[str, Command]:
+    """Fly another experiment's path in the running session; without one, load the trajectories into all robots.
+
+    The plan's starts, clearances, speeds and forces are printed first. Robots at rest stay so: the next `start` flies the new
+    path. Robots that hold fly to its beginning and along it. In flight: `groundstation mission hold` first. Pool, vehicle,
+    control and limits stay those of the session. Exit code 0 when it is planned or flown, 1 and the reason if it cannot be.
+
+    Examples:  groundstation mission load square.toml --dry-run
+
+               groundstation mission load figure-eight --set path.speed_mps=0.1
+    """
+    if experiment is None:
+        if settings or dry_run:
+            raise typer.BadParameter("--set and --dry-run go with an experiment")
+        return "load", request_named("load")
+    from groundstation.client import flight_of, path_command
+    from groundstation.planning import planner
+
+    loaded = flight_of(experiment, settings or ())
+    lines = [f"{loaded.title or loaded.name}: {loaded.duration_s:g} s", *planner.description(loaded)]
+    for line in lines:
+        typer.echo(printable(line), err=not dry_run)  # stdout is for the outcome, which may be JSON
+    if dry_run:
+        raise typer.Exit
+    return "load", path_command(loaded)
 
 
 @gains_cli.command("set")

@@ -163,14 +163,10 @@ def _intent(experiment: Experiment, folder: Path) -> str:
     from groundstation.logs.recorder import check_room
     from groundstation.planning import planner
 
-    starts = planner.start_poses(experiment, planner.plan(experiment))
+    description = planner.description(experiment)
     check_room(folder, experiment.recording.min_free_gb)
-    lines = [
-        f"{experiment.title or experiment.name}: {experiment.duration_s:g} s, experiment {experiment.hash[:8]}, into {folder}"
-    ]
-    for robot, (x_m, y_m, z_m, yaw_rad) in starts.items():
-        lines.append(f"robot {robot} starts at x {x_m:.2f}, y {y_m:.2f}, z {z_m:.2f} m, yaw {yaw_rad:.2f} rad")
-    return "\n".join(lines)
+    flown = f"{experiment.title or experiment.name}: {experiment.duration_s:g} s"
+    return "\n".join([f"{flown}, experiment {experiment.hash[:8]}, into {folder}", *description])
 
 
 def plan(experiment: ExperimentName, settings: Settings = None) -> None:

@@ -29,7 +29,7 @@ from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import DecodeError, decode
 from shoal.messages.labels import labels
-from shoal.messages.schema import nested_message
+from shoal.messages.schema import nested_message, present_type
 from shoal.messages.topics import Topic
 from shoal.runtime.output_files import RUN, check_output, replacing_together
 
@@ -215,7 +215,8 @@ def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: 
         return [TableColumn(f"{prefix}{name}_bytes", int, lambda m, row: len(getattr(m, name)))]
     if name.endswith("session") or name == "recipient":  # 64 bits without a sign
         return [TableColumn(prefix + name, str, lambda m, row: f"{getattr(m, name):x}")]
-    return [TableColumn(prefix + name, hint if hint in (float, int, bool) else str, lambda m, row: getattr(m, name))]
+    kind = present_type(hint)
+    return [TableColumn(prefix + name, kind if kind in (float, int, bool) else str, lambda m, row: getattr(m, name))]
 
 
 def _number(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:

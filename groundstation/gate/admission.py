@@ -275,6 +275,8 @@ class Admission:
                     moved = True
 
     def _may_try(self, origin: Origin, lane: Lane, now_s: float) -> bool:
+        """True if another connection of this address may begin its handshake with the router: room in lane and address, and a
+        token of each."""
         room = lane.trying < MOST_TRYING and origin.trying < MOST_TRYING_EACH
         room = room and origin.links < MOST_LINKS_EACH and len(self._tries) < self._most_links
         return room and lane.tokens.left(now_s) >= 1.0 and origin.tokens.left(now_s) >= 1.0

@@ -346,8 +346,8 @@ class Guard:
             self._look_s = 0.0
 
     def _go_on(self, link: ProxiedConnection) -> None:
-        """Look at both sockets for what they are good for now; end a link that the router has ended, though a peer that is
-        frozen or gone keeps its end open."""
+        """Choose for which events both sockets are watched next. End a link that the router has ended, also when its peer is
+        frozen or gone and keeps its end open."""
         up, down = link.up, link.down
         if down.over:
             self._drop(link.number)

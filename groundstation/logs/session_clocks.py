@@ -33,9 +33,12 @@ class SessionClocks:
 
     def __init__(self) -> None:
         self._quickest_ns: dict[_Clock, dict[int, int]] = defaultdict(dict)  # by window of the stamps
+        self._localizers = set[int]()  # sessions
 
     def note(self, topic: Topic, session: int, stamp_ns: int, arrived_ns: int, message: object) -> None:
         """Take in a message. In lockstep all share one clock, and the arrival is the stamp."""
+        if isinstance(message, LocalizerStatus):
+            self._localizers.add(session)
         held = held_ns(topic, message)
         if held is not None and arrived_ns != stamp_ns:
             windows, at = self._quickest_ns[session, topic is topics.EVENT], stamp_ns // WINDOW_NS
@@ -44,8 +47,18 @@ class SessionClocks:
 
     def shift_ns(self, topic: str, session: int, stamp_ns: int) -> int:
         """Shift of a stamp in a topic of that name; 0 where the clocks are one, and where nothing is known."""
-        windows, at = self._quickest_ns.get((session, topic == topics.EVENT.name), {}), stamp_ns // WINDOW_NS
-        if not windows or abs(median(windows.values())) <= ALIKE_NS:
+        windows, at = self._windows(session, topic == topics.EVENT.name), stamp_ns // WINDOW_NS
+        if not windows or _is_alike(windows):
             return 0
         near = [windows[k] for k in (at - 1, at, at + 1) if k in windows]
         return min(near) if near else round(median(windows.values()))
+
+    def _windows(self, session: int, of_log: bool) -> dict[int, int]:
+        """Quickest messages of a clock, by window. Lines of a log go by what else their sender says: those of before the
+        run come late, from its cache."""
+        own, others = (self._quickest_ns.get((session, own), {}) for own in (of_log, False))
+        return others if others and (session not in self._localizers or _is_alike(others)) else own
+
+
+def _is_alike(windows: dict[int, int]) -> bool:
+    return abs(median(windows.values())) <= ALIKE_NS

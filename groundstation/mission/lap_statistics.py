@@ -57,12 +57,15 @@ class LapStatistics:
                 last_s = state.trajectory_s
             elif state.trajectory_s == last_s and robot in self._last_s:
                 continue
+            error_m = state.error_m
+            if error_m is None:  # not known is not zero; the way flown meanwhile counts with the next error that is
+                continue
             step_s = state.trajectory_s - last_s
             if robot not in self._flew:  # it was led elsewhere or held: what the others flew meanwhile is not its own
                 step_s = min(step_s, 0.0)
             self._last_s[robot] = state.trajectory_s
             key = (int(state.trajectory_s // self._lap_s) + 1 if self._lap_s else 0, state.tuning_id)
-            self._rows.setdefault(key, _Row()).add(robot, step_s, state.error_m or 0.0)
+            self._rows.setdefault(key, _Row()).add(robot, step_s, error_m)
         self._flew = frozenset(flying)
         while len(self._rows) > KEPT:
             del self._rows[next(iter(self._rows))]

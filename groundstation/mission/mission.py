@@ -45,7 +45,7 @@ from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import Experiment, with_flight
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.messages import Command, Mode, Order, RobotState
@@ -55,7 +55,7 @@ JOIN_WITHIN_S = 3.5  # for a robot to begin to fly with the others, who fly alre
 TEST_PATIENCE_S = 12.0  # for the thruster test of all robots
 SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going on
 AT_REST_MPS = 0.03  # slower than this counts as at rest
-REST_WITHIN_S = 8.0  # then planning begins all the same: robots that hold against waves never quite rest
+REST_WITHIN_S = 8.0  # then a hold is done, and planning begins, all the same: robots in waves never quite rest
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
 ATTENDED = "a person attends, and has to start it"  # an automatic mission, once somebody has taken a hand in it
@@ -63,6 +63,7 @@ ATTENDED = "a person attends, and has to start it"  # an automatic mission, once
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 # States before anybody flies, in which the loss of a robot that was armed ends what was asked for.
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING, MissionState.TEST_ARMING})
+OTHER_FLIGHTS = (Order.FORMATION, Order.PATH)
 ASKS_TO_ARM = frozenset({Order.LOAD, Order.ARM, Order.START, Order.TEST, Order.RETURN, Order.REJOIN})
 
 
@@ -132,9 +133,9 @@ class Mission:
         self.roster = Roster(experiment.robot_ids, segment)
         self.plans = PlanManager(experiment, segment, starts, self.roster)
         self._dispatcher = CommandDispatcher(experiment.hash)
-        self._experiment, self._starts = experiment, dict(starts)
+        self._experiment = experiment
         self._data, self._run = _StateData(), _RunData()
-        self._cycle_ns: int | None = None  # instant of the last cycle
+        self.cycle_ns = 0  # instant of the last cycle; 0 before the first
         self._timetable: Timetable | None = None  # of the last start
         self._still_to_arm: frozenset[int] = frozenset()  # robots that may be disarmed until a new plan arms them
         self._asked_ns = 0  # instant of the last request for which robots may be armed
@@ -143,6 +144,7 @@ class Mission:
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
         self._needs_operator = False  # an automatic mission does not go on by itself
+        self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
         self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
 
@@ -163,10 +165,10 @@ class Mission:
 
     # --- requests of the operator
 
-    def request(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = (), form: str = "") -> str:
-        """Take up a request; `via`: places of a GO, `form` of a FORMATION. Returns the reason of a refusal; empty when
-        it is under way."""
-        reason = rejection_reason(order, self.state) or self.objection(order, fleet, via, form)
+    def request(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
+        """Take up a request; `via`: places of a GO, `text`: form of a FORMATION, experiment of a PATH. Returns the reason of a
+        refusal; empty when it is under way."""
+        reason = rejection_reason(order, self.state) or self.objection(order, fleet, via, text)
         if reason:
             return reason
         self._give_up_s = None  # a person attends
@@ -176,10 +178,14 @@ class Mission:
         if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
             self._begin_run()
         self._last_state = {Order.LOAD: MissionState.LOADING, Order.ARM: MissionState.ARMING}.get(order)
+        at_rest = before in AT_REST and order in OTHER_FLIGHTS
         if order is not Order.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
-            self._needs_operator = order in (Order.HOLD, Order.CLEAR_STOP)
-        self._prepare(order, fleet, form)
+            self._needs_operator = order in (Order.HOLD, Order.CLEAR_STOP) or at_rest
+        self._prepare(order, fleet, text)
         self._go(order, now_ns)
+        if at_rest:
+            flown = with_flight(self._experiment, text) if order is Order.PATH else None
+            self.plans.request_at_rest(fleet, flown, text)
         if order is Order.DISARM and before in TERMINAL | {MissionState.ENDING}:
             self.reason = why
         elif order is Order.DISARM:
@@ -190,11 +196,13 @@ class Mission:
             self._replan_if_needed(fleet, now_ns)
         if order is Order.GO:
             self.plans.request_replan(fleet, now_ns, tuple(via))
-        if order is Order.FORMATION and self.state is MissionState.SWITCHING:
-            self.plans.request_form(form, fleet, now_ns)
+        if order is Order.FORMATION:
+            self._form = text
+            if self.state is MissionState.SWITCHING:
+                self.plans.request_form(text, fleet, now_ns)
         return ""
 
-    def _prepare(self, order: Order, fleet: Fleet, form: str) -> None:
+    def _prepare(self, order: Order, fleet: Fleet, text: str) -> None:
         """Set roster and plans for a request, before the state changes."""
         if order is Order.RETURN:
             self._prepare_return(fleet)
@@ -204,9 +212,14 @@ class Mission:
                 self.plans.target_return()
             else:
                 self.plans.target_slots()
-        if order is Order.FORMATION and self.state is MissionState.PAUSED:
-            self.plans.target_form(form)
-        if order in (Order.RETURN, Order.REJOIN, Order.FORMATION):
+        if order in OTHER_FLIGHTS and self.state in AT_REST:
+            self.plans.reset()  # it begins another run, with all robots
+        elif order is Order.FORMATION and self.state is MissionState.PAUSED:
+            self.plans.target_form(text)
+        elif order is Order.PATH:
+            self.plans.target_flight(with_flight(self._experiment, text))
+            self._run.homeward = False
+        if order in (Order.RETURN, Order.REJOIN, *OTHER_FLIGHTS):
             self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
         if order is Order.HOLD:
             self.roster.take_back()
@@ -235,15 +248,21 @@ class Mission:
         else:
             self.roster.put_back(robot, self.state in AT_REST | {MissionState.STOPPED})
 
-    def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = (), form: str = "") -> str:
+    def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
-        from_rest = order is Order.RETURN and self.state in AT_REST  # takes in robots that the last run had lost
+        from_rest = (
+            order in (Order.RETURN, *OTHER_FLIGHTS) and self.state in AT_REST
+        )  # takes in robots that the last run had lost
         roster = Roster(self._experiment.robot_ids, self.segment, self.roster.out) if from_rest else self.roster
-        context = replace(self._context(fleet, roster, via), form=form)
+        context = replace(self._context(fleet, roster, via), text=text)
         return objection(order, replace(context, transfer=self.segment.is_separate(self.plans.progress_s)))
 
     def _context(self, fleet: Fleet, roster: Roster | None = None, via: Sequence[tuple[float, float]] = ()) -> RequestContext:
-        return RequestContext(self._experiment, self.state, roster or self.roster, self.segment, self._starts, fleet, via)
+        planning = self.state in AT_REST and self.plans.request is not None
+        return RequestContext(
+            self._experiment, self.plans.flown, self.state, roster or self.roster, self.segment, self.plans.starts, fleet, via,
+            planning=planning,
+        )  # fmt: skip
 
     def _may_arm(self, now_ns: int) -> None:
         """Note that robots may be armed from now on, each until it loses its power again."""
@@ -270,8 +289,8 @@ class Mission:
         self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int, obstacles: ObstacleSet | None = None
     ) -> tuple[Command, ...]:
         """Do one cycle; returns the commands to send now. `obstacles` None: as in the cycle before."""
-        elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
-        self._cycle_ns = now_ns
+        elapsed_s = (now_ns - self.cycle_ns) * 1e-9 if self.cycle_ns else 0.0
+        self.cycle_ns = now_ns
         own_results = [result for result in results if result.command.robot in self.roster.all_robots]
         left_out = self.roster.all_robots if self.state in AT_REST else self.roster.lost  # silence of theirs stops nothing
         counted = [r for r in own_results if not (r.reply.silent and r.command.robot in left_out)]
@@ -327,7 +346,7 @@ class Mission:
 
     def _wait(self, fleet: Fleet, now_ns: int) -> None:
         moves = any(fleet[r].heard and fleet[r].mode in MOVING for r in self.roster.all_robots)
-        reasons = preflight(self._experiment, fleet, self._starts)
+        reasons = preflight(self._experiment, fleet, self.plans.starts)
         self.reason = "; ".join(reasons) or (ATTENDED if self.automatic and self._needs_operator else "")
         if self.automatic and not self._needs_operator and not reasons and not moves:
             self._may_arm(now_ns)
@@ -483,7 +502,10 @@ class Mission:
     def _close_up(self, fleet: Fleet, now_ns: int) -> None:
         self._run.gap = False
         self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
-        self.plans.target_slots()
+        if self._form:  # the gap closes on the way into the form that was asked for
+            self.plans.target_form(self._form)
+        else:
+            self.plans.target_slots()
         self._go(MissionEvent.LOST_CLOSE_UP, now_ns)
 
     def _govern(self, fleet: Fleet, elapsed_s: float) -> None:
@@ -644,10 +666,15 @@ class Mission:
 
     def planned(self, outcome: PlanSegment | PlanError, fleet: Fleet, now_ns: int) -> None:
         """Take the outcome of the requested plan."""
-        self.plans.request = None
-        if self.state is MissionState.HALTING:
+        request, self.plans.request = self.plans.request, None
+        if self.state in AT_REST and request is not None and request.flight is not None:
             if isinstance(outcome, PlanSegment):
-                self.plans.adopt(outcome)
+                self.plans.adopt_at_rest(outcome, request.flight)
+            else:
+                self.plans.failure = str(outcome)
+        elif self.state is MissionState.HALTING:
+            if isinstance(outcome, PlanSegment):
+                self.plans.adopt(outcome, request.flight if request is not None else None)
                 self._go(MissionEvent.PLANNED, now_ns)
             else:
                 self._drop_disarmed(fleet)
@@ -711,7 +738,7 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
-        if state in TERMINAL:
+        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop or a DISARM after the run has ended so
             self.verdict = state
         elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
             self.verdict = None
@@ -725,6 +752,8 @@ class Mission:
             self._timetable = Timetable(now_ns + round(START_IN_S * 1e9), from_s + self.governor.lag_s)
         if state is not MissionState.SWITCHING:
             self.plans.next = None
+        if state not in PLANNING | {MissionState.RELEASING, MissionState.SWITCHING}:
+            self._form = ""
         self.plans.request = None  # an outcome that belongs to the state before must not be taken for the next one
         if state is MissionState.TEST_ARMING:
             self._dispatcher.tested.clear()

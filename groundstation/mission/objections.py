@@ -9,8 +9,9 @@ from groundstation.planning.replanning import can_replan
 from groundstation.planning.segment import PlanSegment
 from groundstation.planning.shift import common_path
 from groundstation.telemetry import Fleet, RobotView, blocking_findings, first_lost_robot, foreign_poses, preflight
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import Experiment, with_flight
 from shoal.config.scene import Circle, read_form
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Order
 
@@ -23,14 +24,16 @@ LIVE = ARMED | MOVING
 class RequestContext:
     """State of mission and fleet that a request is judged by."""
 
-    experiment: Experiment
+    experiment: Experiment  # of the session; what is flown may be another path (`flown`)
+    flown: Experiment
     state: MissionState
     roster: Roster
     segment: PlanSegment
     starts: Mapping[int, Array]
     fleet: Fleet
     via: Sequence[tuple[float, float]] = ()  # places of a GO, x and y in m
-    form: str = ""  # of a FORMATION
+    text: str = ""  # of a FORMATION the form, of a PATH the experiment
+    planning: bool = False  # a plan for robots at rest is being made
     transfer: bool = False  # robots fly separate transfers now
 
 
@@ -106,7 +109,8 @@ def _foreign_poses(context: RequestContext) -> str:
 
 
 def _returns(context: RequestContext) -> str:
-    return "the robots are on their way back to the start, each on its own" if context.segment.is_return else ""
+    returns = context.segment.is_return and context.state not in AT_REST
+    return "the robots are on their way back to the start, each on its own" if returns else ""
 
 
 def _no_places(context: RequestContext) -> str:
@@ -114,7 +118,7 @@ def _no_places(context: RequestContext) -> str:
 
 
 def _unchangeable(context: RequestContext) -> str:
-    experiment = context.experiment
+    experiment = context.flown
     if can_replan(experiment):
         return ""
     if any(robot.path is not None for robot in experiment.robots):
@@ -126,10 +130,30 @@ def _unchangeable(context: RequestContext) -> str:
 
 def _no_form(context: RequestContext) -> str:
     try:
-        read_form(context.form, 0.0)
+        changes = read_form(context.text, 0.0)
     except ValueError as error:
         return str(error)
-    return "" if common_path(context.experiment) else "robots have paths of their own: there is no formation to change"
+    ids = context.experiment.robot_ids
+    if changes[0].order and sorted(changes[0].order) != sorted(ids):
+        return f"order {','.join(map(str, changes[0].order))}: must name each robot once ({', '.join(map(str, ids))})"
+    return "" if common_path(context.flown) else "robots have paths of their own: there is no formation to change"
+
+
+def _no_flight(context: RequestContext) -> str:
+    try:
+        with_flight(context.experiment, context.text)
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def _not_placed(context: RequestContext) -> str:
+    """Robots at rest must be heard, and be where they will start: the plan begins there."""
+    return _moves(context) or (_unfit_to_test(context) if context.state in AT_REST else "")
+
+
+def _being_planned(context: RequestContext) -> str:
+    return "the other path or form is still being planned: wait for it" if context.planning else ""
 
 
 def _on_transfers(context: RequestContext) -> str:
@@ -167,15 +191,16 @@ def _none_can_return(context: RequestContext) -> str:
 Check = Callable[[RequestContext], str]
 
 OBJECTIONS: Mapping[Order, tuple[Check, ...]] = {
-    Order.LOAD: (_moves,),
-    Order.ARM: (_moves, _unfit_to_start),
-    Order.START: (_moves, _unfit_to_start),
+    Order.LOAD: (_moves, _being_planned),
+    Order.ARM: (_moves, _being_planned, _unfit_to_start),
+    Order.START: (_moves, _being_planned, _unfit_to_start),
     Order.TEST: (_moves, _unfit_to_test),
     Order.RESUME: (_not_holding, _foreign_poses),
     Order.CLEAR_STOP: (_not_stopped,),
     Order.HOLD: (_none_armed,),
     Order.GO: (_foreign_poses, _returns, _no_places, _unchangeable, _outside),
-    Order.FORMATION: (_foreign_poses, _returns, _no_form, _on_transfers),
+    Order.FORMATION: (_foreign_poses, _returns, _no_form, _on_transfers, _not_placed),
+    Order.PATH: (_foreign_poses, _no_flight, _not_placed),
     Order.REJOIN: (_foreign_poses, _none_lost, _no_place_left, _none_can_rejoin),
     Order.RETURN: (_foreign_poses, _none_can_return),
 }

@@ -46,7 +46,7 @@ class ObstacleMonitor:
     """Remembers since when each obstacle has been seen. Discs are (k, 3: x, y, radius) in m."""
 
     def __init__(self, experiment: Experiment) -> None:
-        self._experiment = experiment
+        self.flown = experiment
         self._present = ObstacleSet()
         self._since_ns: dict[int, int] = {}
 
@@ -64,9 +64,9 @@ class ObstacleMonitor:
         lies where it was last seen. Robots keep a growing bubble around a silent one, so plans leave `room_m` for it; None:
         safety.bubble_max_m.
         """
-        safety = self._experiment.safety
+        safety = self.flown.safety
         wide_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
-        robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.pose or robot.state]
+        robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.is_located]
         return np.vstack([self._discs(now_ns) if obstacles else NO_OBSTACLES, np.array(robots).reshape(-1, 3)])
 
     def first_contact(self, segment: PlanSegment, progress_s: float, lost: Iterable[RobotView], now_ns: int | None) -> str:
@@ -75,12 +75,13 @@ class ObstacleMonitor:
         Empty if there is none, or if the path is not changed for it: in formation only paths of some kinds can be replanned
         (`can_replan`). On separate transfers robots come to rest for a new plan, and lost robots always count.
         """
-        detours, separate = self._experiment.mission.detours, segment.is_separate(progress_s)
-        if not separate and not (detours and can_replan(self._experiment)):
+        detours, separate = self.flown.mission.detours, segment.is_separate(progress_s)
+        if not separate and not (detours and can_replan(self.flown)):
             return ""
         obstacles = self.discs_to_avoid(lost, now_ns, room_m=0.0, obstacles=detours)
-        return first_contact(self._experiment, segment, progress_s, progress_s + AHEAD_S, obstacles)
+        return first_contact(self.flown, segment, progress_s, progress_s + AHEAD_S, obstacles)
 
     def _discs(self, now_ns: int | None) -> Array:
+        """Discs of the obstacles that are there: with `now_ns` only those seen for SURE_S by then."""
         sure = [now_ns is None or now_ns - self._since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._present.ids]
         return self._present.discs[np.array(sure, dtype=bool)] if self._present.ids else NO_OBSTACLES

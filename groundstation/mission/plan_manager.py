@@ -1,8 +1,8 @@
 """Present and next plan segment, and the plan that is waited for. Pure; groundstation/mission/mission.py decides when to plan.
 
 A plan made in flight (groundstation/planning/replanning.py) becomes `next`, and is flown once all robots have it. A plan for
-robots that hold (groundstation/planning/rest_to_rest.py) is adopted at once. Planning takes time: `request` is the plan to be
-computed.
+robots that hold (groundstation/planning/rest_to_rest.py) is adopted at once, one for robots at rest before a start is what
+that start flies. Planning takes time: `request` is the plan to be computed.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 
 from groundstation.mission.obstacle_monitor import ObstacleMonitor
 from groundstation.mission.roster import Roster
+from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.prioritized_planning import OutOfTime, never
 from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import plan_regroup, plan_return
-from groundstation.planning.segment import PlanSegment, ceil_to_period, first_contact
+from groundstation.planning.segment import PlanSegment, ceil_to_period, first_contact, first_segment
 from groundstation.planning.shift import in_form, reshape
 from groundstation.telemetry import Fleet, RobotView
 from shoal.config.experiment import Experiment
@@ -26,12 +27,26 @@ AHEAD_S = 2.0  # from the request to the beginning of another path: covers plann
 LAST_CALL_S = 0.3  # before the beginning: all robots must have the next segment by then
 
 
+@dataclass(eq=False)
+class FlownPath:
+    """A path with its formation, as an experiment gives it."""
+
+    experiment: Experiment
+    segment: PlanSegment | None = None  # from the path's beginning, without the ways into the places; None: not planned yet
+
+    def plan(self) -> PlanSegment:
+        """Segment from the path's beginning. Raises PlanError."""
+        self.segment = first_segment(self.experiment) if self.segment is None else self.segment
+        return self.segment
+
+
 @dataclass(frozen=True)
 class PlanRequest:
     """A plan that the mission waits for. The station calls `plan` and gives the mission its outcome."""
 
     name: str
     make: Callable[[OutOfTime], PlanSegment]
+    flight: FlownPath | None = None  # another one that the plan begins
 
     def plan(self, out_of_time: OutOfTime = never) -> PlanSegment:
         """Compute the plan. Raises PlanError, also when `out_of_time`."""
@@ -42,7 +57,10 @@ class PlanManager:
     """Plan segments of one mission. Times are on the clock that runs along the trajectories."""
 
     def __init__(self, experiment: Experiment, first: PlanSegment, starts: Mapping[int, Array], roster: Roster) -> None:
-        """`starts`: poses (4,) in which the robots began."""
+        """`starts`: poses (4,) in which the robots begin."""
+        self.flown = experiment  # with the path of the session, or the one that a person has loaded
+        self.starts = dict(starts)
+        self.failure = ""  # of the last plan for robots at rest
         self.segment = first
         self.next: PlanSegment | None = None  # flown from its beginning on, once all have it
         self.request: PlanRequest | None = None
@@ -50,18 +68,32 @@ class PlanManager:
         self.deadline_s = 0.0  # for all robots to have the next segment
         self.by_operator = False  # the other path was requested by the operator
         self.monitor = ObstacleMonitor(experiment)
-        self._experiment, self._first, self._starts, self._roster = experiment, first, dict(starts), roster
+        self._first, self._roster = first, roster
+        self._flight = FlownPath(experiment, first)
         self._purpose: Callable[[Fleet, float], Callable[[OutOfTime], PlanSegment]] | None = None  # of coming to rest
+        self._coming: FlownPath | None = None  # that begins then
 
     def reset(self) -> None:
         """Start again at the beginning of the first segment, with all robots."""
         self.segment, self.progress_s = self._first, 0.0
         self._roster.reset(self._first)
 
-    def adopt(self, segment: PlanSegment) -> None:
-        """Fly `segment` from now on."""
+    def adopt(self, segment: PlanSegment, flight: FlownPath | None = None) -> None:
+        """Fly `segment` from now on; with another `flight` it is also what the next start flies."""
         self.segment, self.next = segment, None
+        if flight is not None:
+            first = flight.plan()
+            self._take(flight, first, {r: first.trajectories[r].eta[0] for r in self._roster.all_robots})
         self._roster.adopt(segment)
+
+    def adopt_at_rest(self, segment: PlanSegment, flight: FlownPath) -> None:
+        """Fly `segment` with the next start, from where the robots are."""
+        self._take(flight, segment, {r: segment.trajectories[r].eta[0] for r in self._roster.all_robots})
+        self.reset()
+
+    def _take(self, flight: FlownPath, first: PlanSegment, starts: Mapping[int, Array]) -> None:
+        self._flight, self._first, self.starts = flight, first, dict(starts)
+        self.flown = self.monitor.flown = flight.experiment
 
     def trajectory_for(self, order: Order, robot: int) -> Trajectory | None:
         """Trajectory that a command to a robot is about; None if it has no part in the segment."""
@@ -72,15 +104,15 @@ class PlanManager:
 
     def target_return(self) -> None:
         """Plan the next rest's segment back to the starts."""
-        self._purpose = self._plan_return
+        self._purpose, self._coming = self._plan_return, None
 
     def target_slots(self) -> None:
         """Plan the next rest's segment into the slots of the present one, and on along it."""
-        self._purpose = self._plan_regroup
+        self._purpose, self._coming = self._plan_regroup, None
 
     def target_current(self) -> None:
         """Plan the next rest's segment to where the present one leads."""
-        self._purpose = self._plan_return if self.segment.is_return else self._plan_regroup
+        self._purpose, self._coming = self._plan_return if self.segment.is_return else self._plan_regroup, None
 
     @property
     def targets_return(self) -> bool:
@@ -88,12 +120,12 @@ class PlanManager:
         return self._purpose == self._plan_return
 
     def _plan_return(self, fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
-        experiment, starts = self._experiment, self._starts
+        experiment, starts = self.flown, self.starts
         rests, obstacles = self._roster.rest_poses(fleet), self.discs_to_avoid(fleet)
         return lambda out_of_time: plan_return(experiment, begin_s, rests, starts, obstacles, out_of_time)
 
     def _plan_regroup(self, fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
-        experiment, segment, progress_s = self._experiment, self.segment, self.progress_s
+        experiment, segment, progress_s = self.flown, self.segment, self.progress_s
         rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
         obstacles = self.discs_to_avoid(fleet)
         return lambda out_of_time: plan_regroup(experiment, segment, begin_s, progress_s, rests, slots, obstacles, out_of_time)
@@ -102,14 +134,14 @@ class PlanManager:
         """Request the targeted plan, now that all robots rest. It uses the fleet as known now: it is computed in another
         thread while the mission goes on."""
         if self.request is None and self._purpose is not None:
-            period_s = self._experiment.controller.period_s
+            period_s = self.flown.controller.period_s
             begin_s = ceil_to_period(self.progress_s + period_s, period_s)
-            self.request = PlanRequest("from rest", self._purpose(fleet, begin_s))
+            self.request = PlanRequest("from rest", self._purpose(fleet, begin_s), self._coming)
 
     def request_replan(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...] = ()) -> None:
         """Request a path around obstacles, or through the operator's places `via` (x, y) in m."""
         begin_s = self._ahead_s()
-        experiment, segment, obstacles = self._experiment, self.segment, self.discs_to_avoid(fleet, now_ns)
+        experiment, segment, obstacles = self.flown, self.segment, self.discs_to_avoid(fleet, now_ns)
         self.deadline_s, self.by_operator = begin_s - LAST_CALL_S, bool(via)
         self.request = PlanRequest("another path", lambda _: replan(experiment, segment, begin_s, obstacles, via))
 
@@ -120,16 +152,20 @@ class PlanManager:
         make = self.form_plan(form, begin_s, fleet, now_ns)
         self.request = PlanRequest("another form", lambda _: make())
 
-    def draft_form(self, form: str, fleet: Fleet, now_ns: int, holds: bool) -> Callable[[], PlanSegment]:
-        """Function that plans another form without asking for it. `holds`: robots hold, and transfers lead them into it."""
-        if not holds:
-            return self.form_plan(form, self._ahead_s(), fleet, now_ns)
-        experiment, segment, progress_s = self._experiment, self.segment, self.progress_s
-        return lambda: in_form(experiment, segment, progress_s, read_form(form, 0.0)[0])
+    def draft_form(self, form: str, fleet: Fleet, now_ns: int, state: MissionState) -> Callable[[], PlanSegment]:
+        """Function that plans another form without asking for it, in a state that allows it. Robots that hold or rest have
+        transfers into it, which are left out here."""
+        experiment, segment, progress_s = self.flown, self.segment, self.progress_s
+        if state in AT_REST:
+            present = self._flight
+            return lambda: in_form(experiment, present.plan(), 0.0, read_form(form, 0.0)[0])
+        if state is MissionState.PAUSED:
+            return lambda: in_form(experiment, segment, progress_s, read_form(form, 0.0)[0])
+        return self.form_plan(form, self._ahead_s(), fleet, now_ns)
 
     def form_plan(self, form: str, begin_s: float, fleet: Fleet, now_ns: int) -> Callable[[], PlanSegment]:
         """Function that plans another form from `begin_s` on. It raises PlanError."""
-        experiment, segment, obstacles = self._experiment, self.segment, self.discs_to_avoid(fleet, now_ns)
+        experiment, segment, obstacles = self.flown, self.segment, self.discs_to_avoid(fleet, now_ns)
 
         def make() -> PlanSegment:
             reshaped = reshape(experiment, segment, begin_s, read_form(form, begin_s))
@@ -142,22 +178,47 @@ class PlanManager:
 
     def _ahead_s(self) -> float:
         """Time along the trajectories at which another path may begin."""
-        return ceil_to_period(self.progress_s + AHEAD_S, self._experiment.controller.period_s)
+        return ceil_to_period(self.progress_s + AHEAD_S, self.flown.controller.period_s)
 
     def target_form(self, form: str) -> None:
         """Plan the next rest's segment into the slots of another form, and on along the present path."""
-        experiment, segment, progress_s = self._experiment, self.segment, self.progress_s
+        experiment, segment, progress_s = self.flown, self.segment, self.progress_s
 
         def plan(fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
 
             def make(out_of_time: OutOfTime) -> PlanSegment:
+                """In the planner's thread: from the rest poses into the slots of the new form."""
                 held = in_form(experiment, segment, progress_s, read_form(form, 0.0)[0])
                 return plan_regroup(experiment, held, begin_s, progress_s, rests, slots, obstacles, out_of_time)
 
             return make
 
-        self._purpose = plan
+        self._purpose, self._coming = plan, None
+
+    def target_flight(self, flown: Experiment) -> None:
+        """Plan the next rest's segment to the beginning of another path, and on along it."""
+        flight = FlownPath(flown)
+
+        def plan(fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
+            rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
+            return lambda late: plan_regroup(flown, flight.plan(), begin_s, 0.0, rests, slots, obstacles, late)
+
+        self._purpose, self._coming = plan, flight
+
+    def request_at_rest(self, fleet: Fleet, flown: Experiment | None, form: str) -> None:
+        """Request what the next start flies, from where the robots rest: another experiment's path, or the present one in
+        another form."""
+        flight = FlownPath(self.flown) if flown is None else FlownPath(flown)
+        rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
+        obstacles, present = self.discs_to_avoid(fleet), self._flight
+
+        def make(out_of_time: OutOfTime) -> PlanSegment:
+            if flown is None:
+                flight.segment = in_form(flight.experiment, present.plan(), 0.0, read_form(form, 0.0)[0])
+            return plan_regroup(flight.experiment, flight.plan(), 0.0, 0.0, rests, slots, obstacles, out_of_time)
+
+        self.failure, self.request = "", PlanRequest("at rest", make, flight)
 
     # --- obstacles
 

@@ -10,7 +10,15 @@ from dataclasses import dataclass, field
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
-from groundstation.mission.mission import JOIN_WITHIN_S, Mission, may_have_power, may_move
+from groundstation.mission.mission import (
+    AT_REST_MPS,
+    JOIN_WITHIN_S,
+    OTHER_FLIGHTS,
+    REST_WITHIN_S,
+    Mission,
+    may_have_power,
+    may_move,
+)
 from groundstation.mission.objections import ARMED, LIVE, MOVING
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
@@ -25,6 +33,7 @@ KEPT = 16
 
 _FROM_REST = frozenset({MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING, MissionState.RELEASING})
 UNARMED = AT_REST | {MissionState.STOPPED}  # the mission arms no robot
+IN_PLACE_M = 0.05  # from the place that a robot holds
 
 Confirms = Callable[[Mission, RobotView, int], bool]
 
@@ -55,7 +64,8 @@ class RequestGoal:
     """Goal of a request: mission states on the way and at the end, and the check that a robot has confirmed.
 
     `repeats`: in the end state the command is sent again and again, so a robot may still confirm. `all_robots`: lost robots
-    count too; `moving`: lost robots count that move or hold. `new_segment`: another segment is flown then.
+    count too; `moving`: lost robots count that move or hold; `begun`: robots count that have been lost since the request.
+    `new_segment`: another segment is flown then.
     """
 
     through: frozenset[MissionState]
@@ -64,6 +74,7 @@ class RequestGoal:
     repeats: bool = False
     all_robots: bool = False
     moving: bool = False
+    begun: bool = False
     new_segment: bool = False
 
 
@@ -77,6 +88,7 @@ GOALS: dict[Order, RequestGoal] = {
     Order.RESUME: RequestGoal(_FROM_REST | {MissionState.RESUMING}, IN_FLIGHT, _in(Mode.TRACKING)),
     Order.GO: RequestGoal(frozenset({MissionState.SWITCHING}), NOMINAL, _in(Mode.TRACKING), new_segment=True),
     Order.FORMATION: RequestGoal(_FROM_REST | {MissionState.SWITCHING}, NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    Order.PATH: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), new_segment=True),
     Order.RETURN: RequestGoal(
         _FROM_REST | IN_FLIGHT | {MissionState.ENDING},
         frozenset({MissionState.DONE}),
@@ -84,7 +96,7 @@ GOALS: dict[Order, RequestGoal] = {
         all_robots=True,
         new_segment=True,
     ),
-    Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), begun=True, new_segment=True),
     Order.DISARM: RequestGoal(
         frozenset({MissionState.ENDING, MissionState.ABORTING}),
         AT_REST,
@@ -105,6 +117,9 @@ GOALS: dict[Order, RequestGoal] = {
     ),
 }
 
+# of another path or form for robots at rest, which the next start flies: none of them has to do anything
+PLANNED_AT_REST = RequestGoal(frozenset(), frozenset({MissionState.WAITING}), lambda *_: True, new_segment=True)
+
 
 @dataclass(eq=False)
 class _Request:
@@ -113,10 +128,13 @@ class _Request:
     number: int
     order: Order
     segment: PlanSegment
+    active: tuple[int, ...]  # robots that took part when it began
     tuning_id: str = ""  # TUNE: the requested set
     only: int = WHOLE_FLEET  # or the one robot that it is about,
     task: RobotTask | None = None  # and its task
+    at_rest: bool = False  # robots were at rest, and only a plan is made
     refusals: dict[int, str] = field(default_factory=dict)  # by robot, the last one
+    begun_ns: int = 0  # by the mission's cycle
 
 
 class RequestTracker:
@@ -135,7 +153,7 @@ class RequestTracker:
         same request; another one takes its place."""
         gains = order in TUNING
         for request in [r for r in self._open if r.task is None and (r.order in TUNING) is gains]:
-            if request.order is order and order not in (Order.GO, Order.FORMATION, Order.TUNE):
+            if request.order is order and order not in (Order.GO, *OTHER_FLIGHTS, Order.TUNE):
                 return request.number
             self._open.remove(request)
             self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
@@ -144,7 +162,7 @@ class RequestTracker:
     def note_done(self, order: Order, mission: Mission) -> int:
         """Count a request that was done at once, and that nothing else follows. Returns its number."""
         self._count += 1
-        self._record(_Request(self._count, order, mission.segment), mission, Progress.DONE)
+        self._record(_Request(self._count, order, mission.segment, mission.roster.active), mission, Progress.DONE)
         return self._count
 
     def begin_task(self, robot: int, task: RobotTask, mission: Mission) -> int:
@@ -156,7 +174,18 @@ class RequestTracker:
         self, order: Order, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET, task: RobotTask | None = None
     ) -> int:
         self._count += 1
-        request = _Request(self._count, order, mission.segment, tuning_id, only, task)
+        at_rest = order in OTHER_FLIGHTS and mission.state is MissionState.WAITING
+        request = _Request(
+            self._count,
+            order,
+            mission.segment,
+            mission.roster.active,
+            tuning_id,
+            only,
+            task,
+            at_rest,
+            begun_ns=mission.cycle_ns,
+        )
         self._open.append(request)
         self._record(request, mission)
         return request.number
@@ -196,21 +225,29 @@ class RequestTracker:
             return (request.only,)
         if request.order in TUNING:
             return mission.roster.active
+        if request.at_rest:
+            return ()
         if GOALS[request.order].all_robots:
             return tuple(r for r in self._robots if r not in mission.roster.out or may_have_power(fleet[r]))
-        lost = [r for r in mission.roster.lost if GOALS[request.order].moving and _moves_or_holds(fleet[r])]
-        return tuple(r for r in self._robots if r in lost or r in mission.roster.active)
+        goal = GOALS[request.order]
+        lost = [r for r in mission.roster.lost if goal.moving and _moves_or_holds(fleet[r])]
+        return tuple(
+            r for r in self._robots if r in lost or r in mission.roster.active or (goal.begun and r in request.active)
+        )
 
     def _mission_progress(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[Progress, str, list[int]]:
         """Progress of a request for the whole fleet, its reason, and the robots that it waits for."""
-        goal = GOALS[request.order]
+        goal = PLANNED_AT_REST if request.at_rest else GOALS[request.order]
         robots = self._concerned(request, mission, fleet)
         waiting = [robot for robot in robots if not goal.confirmed(mission, fleet[robot], robot)]
-        if mission.state in goal.through:
+        if request.order is Order.HOLD and mission.cycle_ns - request.begun_ns < REST_WITHIN_S * 1e9:
+            waiting = [robot for robot in robots if robot in waiting or not _rests(fleet[robot])]
+        planning = request.at_rest and mission.plan_request is not None
+        if mission.state in goal.through or (planning and mission.state in goal.to):
             return Progress.UNDER_WAY, "", waiting
         stands = f"{mission.state.value}{f': {mission.reason}' if mission.reason else ''}"
         if mission.state not in goal.to or (goal.new_segment and mission.segment is request.segment):
-            return Progress.FAILED, stands, waiting
+            return Progress.FAILED, (request.at_rest and mission.plans.failure) or stands, waiting
         if request.order is Order.END:  # a robot that is not heard cannot be waited for: it comes to rest by itself
             flying = [robot for robot in waiting if may_move(fleet[robot])]
             return (Progress.UNDER_WAY if flying else Progress.DONE), "", waiting
@@ -259,6 +296,12 @@ class RequestTracker:
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
 
 
+def _rests(view: RobotView) -> bool:
+    """True for a robot that is at rest in the place that it holds."""
+    away_m = view.state.error_m if view.state is not None else None
+    return view.speed_mps < AT_REST_MPS and (away_m is None or away_m < IN_PLACE_M)
+
+
 def _moves_or_holds(view: RobotView) -> bool:
     return may_move(view) and view.mode in MOVING | {Mode.HOLDING}
 
@@ -277,5 +320,6 @@ def _reason(view: RobotView, rejection_reason: str) -> str:
     if not view.heard or view.mode is None:
         return "not heard" if view.state is None else f"not heard for {view.state_age_s:.1f} s"
     tested = view.state.thruster_test if view.state is not None else ""
-    mode_text = f"is {view.mode.name.lower()}{f', thruster test {tested}' if tested else ''}"
+    moving = ", not yet at rest" if view.mode is Mode.HOLDING and not _rests(view) else ""
+    mode_text = f"is {view.mode.name.lower()}{moving}{f', thruster test {tested}' if tested else ''}"
     return rejection_reason or mode_text

@@ -219,8 +219,8 @@ class SingleRobotControl:
         return ""
 
     def _others(self, robot: int, fleet: Fleet) -> Fleet:
-        """The other robots in the water."""
-        return {r: view for r, view in fleet.items() if r != robot and r not in self._mission.roster.out}
+        """The other robots in the water whose places are known."""
+        return {r: v for r, v in fleet.items() if r != robot and r not in self._mission.roster.out and v.is_located}
 
     # --- the cycle
 

@@ -89,6 +89,8 @@ COMMITTED = (
     IN_FLIGHT | PLANNING | {MissionState.PAUSED, MissionState.RESUMING, MissionState.RELEASING}
 )  # a robot that falls out is lost to the others
 ANY = frozenset(MissionState)
+GROUPS = {"in flight": IN_FLIGHT, "nominal": NOMINAL, "at rest": AT_REST, "joining": JOINING, "planning": PLANNING}
+FEW = 4  # missing states: so few are named rather than those that are there
 # states that an automatic mission passes on its way to the end
 UNDER_WAY = COMMITTED | JOINING | {MissionState.WAITING, MissionState.LOADING, MissionState.ARMING}
 
@@ -130,6 +132,10 @@ TRANSITIONS: tuple[MissionTransition, ...] = (
     _row(NOMINAL, Order.GO, MissionState.SWITCHING),
     _row(NOMINAL, Order.FORMATION, MissionState.SWITCHING),
     _row(MissionState.PAUSED, Order.FORMATION, MissionState.HALTING),
+    _row(MissionState.PAUSED, Order.PATH, MissionState.HALTING),
+    # at rest: the next start flies it
+    _row(AT_REST, Order.FORMATION, MissionState.WAITING),
+    _row(AT_REST, Order.PATH, MissionState.WAITING),
     _row(
         NOMINAL | AT_REST | {MissionState.SWITCHING, MissionState.PAUSED},
         Order.RETURN,
@@ -242,7 +248,7 @@ def rejection_reason(order: Order, state: MissionState) -> str:
 
 WATER = (Order.OUT, Order.BACK_IN)  # requests that are always for one robot
 ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO, *WATER)  # requests that may be for one robot alone
-WITH_DETAILS = (Order.GO, Order.FORMATION)  # requests with places, or a form
+WITH_DETAILS = (Order.GO, Order.FORMATION, Order.PATH)  # requests with places, a form, or an experiment
 # requests without arguments; END is the station's own
 FLEET_REQUESTS = tuple(
     order_name(order) for order in Order if order is Order.END or (order not in WITH_DETAILS and states_allowing(order))
@@ -251,16 +257,31 @@ FLEET_REQUESTS = tuple(
 
 def markdown() -> str:
     """Tables of states, requests and events in Markdown, for docs/reference/mission-states.md."""
-    lines = ["| State | |", "| --- | --- |", *(f"| {state.name} | {state.value} |" for state in MissionState), ""]
-    lines += ["| A person's order | counts when | leads to |", "| --- | --- | --- |"]
-    lines += [_row_text(row.cause.name, row) for row in TRANSITIONS if isinstance(row.cause, Order)]
-    lines += ["", "| By itself | when | leads to |", "| --- | --- | --- |"]
-    lines += [_row_text(row.cause.value, row) for row in TRANSITIONS if isinstance(row.cause, MissionEvent)]
+    lines = [f"* {state.name}: {state.value}" for state in MissionState]
+    lines += ["", "Groups of states in the tables:", ""]
+    lines += [f"* *{name}*: {_in_groups(states, name)}" for name, states in GROUPS.items()]
+    lines += ["", "| A person requests | in the states | leads to |", "| --- | --- | --- |"]
+    lines += [f"| {row.cause.name} | {_in_groups(row.states)} | {row.to.name} |" for row in _of(Order)]
+    lines += ["", "| By itself | changes |", "| --- | --- |"]
+    events = _of(MissionEvent)
+    for event in dict.fromkeys(row.cause for row in events):
+        changes = "; ".join(f"{_in_groups(row.states)} → {row.to.name}" for row in events if row.cause is event)
+        lines.append(f"| {event.value} | {changes} |")
     return "\n".join(lines) + "\n"
 
 
-def _row_text(cause: str, row: MissionTransition) -> str:
-    missing = [state.name for state in MissionState if state not in row.states]
-    names = ", ".join(state.name for state in MissionState if state in row.states)
-    when = "always" if not missing else f"always but {', '.join(missing)}" if len(missing) < 4 else names
-    return f"| {cause} | {when} | {row.to.name} |"
+def _of(kind: type[Order] | type[MissionEvent]) -> list[MissionTransition]:
+    return [row for row in TRANSITIONS if isinstance(row.cause, kind)]
+
+
+def _in_groups(states: frozenset[MissionState], but: str = "") -> str:
+    """States in few words: groups of GROUPS first, the largest before the others, then single names. `but` is the group that
+    the words explain."""
+    if len(missing := ANY - states) < FEW:
+        return f"any but {_in_groups(missing)}" if missing else "any"
+    left, words = set(states), []
+    for name, group in sorted(GROUPS.items(), key=lambda item: -len(item[1])):
+        if name != but and group <= left:
+            words.append(f"*{name}*")
+            left -= group
+    return ", ".join([*words, *(state.name for state in MissionState if state in left)])

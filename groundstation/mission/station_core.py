@@ -87,14 +87,14 @@ class StationCore:
         now_ns: int,
         via: Sequence[tuple[float, float]] = (),
         only: int = WHOLE_FLEET,
-        form: str = "",
+        text: str = "",
     ) -> tuple[str, int]:
         """Take a request for the whole fleet, or for the robot `only`; a STOP is for every robot."""
         only = WHOLE_FLEET if order is Order.STOP else only
         if only:
             reason = self.single.request(order, only, fleet, now_ns, via[0] if len(via) == 1 else None)
             return reason, 0 if reason else self._begin_task(only)
-        reason = self._end(fleet, now_ns) if order is Order.END else self.mission.request(order, fleet, now_ns, via, form)
+        reason = self._end(fleet, now_ns) if order is Order.END else self.mission.request(order, fleet, now_ns, via, text)
         if not reason and order in COURSE:
             self.by_hand = order is not Order.START
         return reason, 0 if reason else self.requests.begin(order, self.mission)

@@ -11,6 +11,7 @@ from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.camera_coverage import outside_m
+from shoal.messages.messages import Trajectory
 
 PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: the tracking error of a well tracked robot
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
@@ -18,6 +19,21 @@ TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
 
 class PlanError(ConfigError):
     """A plan that must not be flown. One line per problem: robot, time, place, by how much."""
+
+
+@dataclass(frozen=True)
+class PlanFigure:
+    """A plan's worst value of a quantity, over all robots, and what is allowed: at least, of a distance, else at most."""
+
+    what: str
+    unit: str
+    value: float
+    limit: float
+    least: bool = False
+
+    def __str__(self) -> str:
+        allowed = "at least" if self.least else "at most"
+        return f"{self.what} {self.value:.2f} {self.unit} ({allowed} {self.limit:.2f})"
 
 
 @dataclass(frozen=True)
@@ -32,6 +48,22 @@ def required_slowdown(experiment: Experiment, motions: Mapping[int, NodeMotion])
     """Factor (n,) by which the worst robot should be slower at each sample; 1 is at its limit."""
     limited = (entry for m in motions.values() for entry in experiment.vehicle.demands(m.velocity, m.acceleration))
     return np.asarray(np.max([(value / limit) ** (1.0 / power) for _, _, power, limit, value in limited], axis=0))
+
+
+def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], count: int) -> list[PlanFigure]:
+    """Clearances, speeds and forces of a plan in its first `count` samples; no distance where there is nothing to be near."""
+    eta = [t.eta[:count, :3] for t in trajectories.values()]
+    apart_m = min((float(np.linalg.norm(a - b, axis=1).min()) for a, b in combinations(eta, 2)), default=np.inf)
+    away_m = float(experiment.clearance_m(np.vstack(eta)).min())
+    listed = [
+        PlanFigure("between centres", "m", apart_m, 2.0 * experiment.safety.radius_m, True),
+        PlanFigure("hulls to walls and islands", "m", away_m, 0.0, True),
+    ]
+    demands = [experiment.vehicle.demands(t.velocity[:count], t.acceleration[:count]) for t in trajectories.values()]
+    for of_robots in zip(*demands, strict=True):
+        what, unit, _, limit, _ = of_robots[0]
+        listed.append(PlanFigure(what, unit, max(float(values.max()) for *_, values in of_robots), limit))
+    return [figure for figure in listed if np.isfinite(figure.value)]
 
 
 def robot_problems(

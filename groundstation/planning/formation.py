@@ -46,20 +46,21 @@ def quintic_blend(tau: Array, over_s: float) -> tuple[Array, Array, Array]:
     return s, s1, 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / over_s**2
 
 
-def slot_offsets(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> list[SlotOffset]:
-    """Offsets of nodes (robots, 3) through all changes of form, one after the other.
+def slot_offsets(nodes_m: Array, changes: Sequence[Change], time_s: Array, robots: Sequence[int] = ()) -> list[SlotOffset]:
+    """Offsets of nodes (robots, 3) through all changes of form, one after the other. `robots`: their ids, for changes that
+    name them.
 
     A scale and a turn move the structure as a whole. A new shape gives every robot a node of it so that the sum of squared
-    ways is least: on straight ways, taken together, no two robots then meet (Turpin, Michael, Kumar 2014).
+    ways is least: on straight ways, taken together, no two robots then meet (Turpin, Michael, Kumar 2014). With an order
+    robots may meet on their ways: the planner refuses that.
     """
     shape = (len(nodes_m), len(time_s), 3)
     place, rate, bend = np.broadcast_to(nodes_m[:, None], shape).copy(), np.zeros(shape), np.zeros(shape)
     for change in changes:
         tau = np.clip((time_s - change.at_s) / change.over_s, 0.0, 1.0)
         s, s1, s2 = quintic_blend(tau, change.over_s)
-        if change.shape is not None:
-            form = change.scale * shape_nodes(change.shape, len(nodes_m), change.spacing_m) @ _turn(change.turn_rad).T
-            shift_m = (_assigned(nodes_m, form + nodes_m.mean(axis=0)) - nodes_m)[:, None]
+        if change.shape is not None or change.order:
+            shift_m = (_new_places(nodes_m, change, robots) - nodes_m)[:, None]
             place, rate, bend = place + s[:, None] * shift_m, rate + s1[:, None] * shift_m, bend + s2[:, None] * shift_m
             nodes_m = nodes_m + shift_m[:, 0]
             continue
@@ -76,6 +77,18 @@ def slot_offsets(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> li
             whole[..., 2] += deep * sunk
         nodes_m = change.scale * nodes_m @ _turn(change.turn_rad).T
     return [SlotOffset(*offset) for offset in zip(place, rate, bend, strict=True)]
+
+
+def _new_places(nodes_m: Array, change: Change, robots: Sequence[int]) -> Array:
+    """Nodes (robots, 3) after a change to another shape or order."""
+    turn = _turn(change.turn_rad).T
+    if change.shape is None:
+        form_m = change.scale * nodes_m @ turn
+    else:
+        form_m = change.scale * shape_nodes(change.shape, len(nodes_m), change.spacing_m) @ turn + nodes_m.mean(axis=0)
+    if not change.order:
+        return _assigned(nodes_m, form_m)
+    return form_m[[change.order.index(robot) for robot in robots]]
 
 
 def _turn(angle_rad: float) -> Array:

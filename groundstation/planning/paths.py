@@ -172,8 +172,3 @@ class SplinePath:
         cross = x1 * y2 - y1 * x2
         stretch = (x1 * x2 + y1 * y2) / g  # dg/dq
         return cross / g**3, ((x1 * y3 - y1 * x3) / g**3 - 3.0 * cross * stretch / g**4) / g
-
-
-def make_path(path: Circle | Waypoints) -> Path:
-    """The path of an experiment file. Raises ValueError for waypoints that are no path."""
-    return CirclePath(path) if isinstance(path, Circle) else SplinePath(path)

@@ -14,6 +14,7 @@ import numpy as np
 from groundstation.planning.feasibility import (
     TOLERANCE,
     PlanError,
+    figures,
     outside,
     pair_problems,
     place,
@@ -21,8 +22,9 @@ from groundstation.planning.feasibility import (
     robot_problems,
 )
 from groundstation.planning.formation import NodeMotion, SlotOffset, node_motion, slot_offsets
-from groundstation.planning.paths import Path, PathState, make_path
+from groundstation.planning.paths import Path, PathState
 from groundstation.planning.route_planner import candidate_routes
+from groundstation.planning.straight_sides import make_path
 from groundstation.planning.time_scaling import scale_time
 from shoal.config.experiment import Experiment
 from shoal.config.scene import PathSpec, RobotConfig, Route
@@ -86,6 +88,18 @@ def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
     return FleetPlan(trajectories, trajectory(centre, period_s)), problems
 
 
+def description(experiment: Experiment) -> list[str]:
+    """Lines that describe the plan before it is flown: starts, clearances, speeds and forces. Raises PlanError."""
+    trajectories = plan(experiment)
+    starts = start_poses(experiment, trajectories)
+    lines = [
+        f"robot {robot} starts at x {x_m:.2f}, y {y_m:.2f}, z {z_m:.2f} m, yaw {yaw_rad:.2f} rad"
+        for robot, (x_m, y_m, z_m, yaw_rad) in starts.items()
+    ]
+    count = round(experiment.duration_s / experiment.controller.period_s) + 1
+    return lines + [str(figure) for figure in figures(experiment, trajectories, count)]
+
+
 def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[int, Array]:
     """Pose (4,) in which each robot begins: its `start`, else its first reference plus `start_offset`.
 
@@ -118,7 +132,8 @@ def _group_motions(
     could not follow."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     time_s = period_s * np.arange(samples, dtype=np.float64)
-    nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
+    ids = [robot.id for robot in group]
+    nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s, ids)
     path = centre_path(experiment, spec, group, nodes)
     if spec.slow:
 

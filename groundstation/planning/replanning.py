@@ -100,7 +100,7 @@ def _rerouted(
     length_m = float(np.hypot(*np.diff(np.array(route.via_m), axis=0).T).sum())
     samples = round((max(remaining, 0.0) + longer * length_m / spec.speed_mps) / period_s) + planner.horizon(experiment)
     time_s = period_s * np.arange(samples, dtype=np.float64)
-    nodes = slot_offsets(experiment.nodes_m(), formation.changes, begin_s + time_s)
+    nodes = slot_offsets(experiment.nodes_m(), formation.changes, begin_s + time_s, experiment.robot_ids)
     path = planner.centre_path(experiment, route, experiment.robots, nodes)
 
     def excess(slower: Path) -> Array:

@@ -69,7 +69,10 @@ def form_shifts(experiment: Experiment, segment: PlanSegment, begin_s: float, ch
     """Shift of each slot by a change of form."""
     time_s, centre = _ahead(segment, begin_s)
     nodes, after = experiment.nodes_m(), replace(segment, forms=(*segment.forms, change))
-    old, new = (slot_offsets(nodes, with_forms(experiment, each).formation.changes, time_s) for each in (segment, after))
+    old, new = (
+        slot_offsets(nodes, with_forms(experiment, each).formation.changes, time_s, experiment.robot_ids)
+        for each in (segment, after)
+    )
     turns = np.zeros_like(centre.eta[:, 3])
     yaw, rate, bend = (centre.eta[:, 3], centre.velocity[:, 3], centre.acceleration[:, 3])
     if experiment.formation.mode == "translate":

@@ -6,7 +6,20 @@ from markupsafe import Markup
 from rich.table import Table
 
 from groundstation.analysis.comparison import Comparison
-from groundstation.report.controller_comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
+from groundstation.analysis.statistics import CONFIDENCE, RESAMPLES
+from groundstation.report.controller_comparison import (
+    COLUMNS,
+    STEP_HEADINGS,
+    cells,
+    closest,
+    course,
+    demands,
+    errors,
+    failures,
+    seeds_of,
+    step_cells,
+    wanted,
+)
 from groundstation.report.plotting import to_svg
 from groundstation.report.report import environment, saving_script
 from shoal.errors import ConfigError
@@ -32,7 +45,8 @@ FIGURES = (
 )
 MOST_BYTES = 100_000_000  # of comparison.json
 CAPTION = "RMS distances from the reference; largest, yaw and formation after 20 s; wanted: before limits cut it off"
-HEADINGS = ("×", *(f"{c.heading} [{c.unit}]" for c in COLUMNS))
+HEADINGS = ("×", *(f"{c.heading} [{c.unit}]" for c in COLUMNS), *STEP_HEADINGS)
+INTERVALS = f"in brackets {100 * CONFIDENCE:.0f} % bootstrap intervals of the means, {RESAMPLES} resamples"
 
 
 def write(folder: Path) -> bool:
@@ -46,8 +60,13 @@ def write(folder: Path) -> bool:
     replace_text(folder / "comparison.html", _render(comparison, failed))
     console = terminal()
     console.width = max(console.width, 110)  # a table that wraps cannot be read
-    for title, caption, columns in ((_title(comparison), None, slice(0, 5)), ("", CAPTION, slice(5, None))):
+    for title, caption, columns in (
+        (_title(comparison), None, slice(0, 5)),
+        ("", CAPTION, slice(5, 10)),
+        ("", None, slice(10, None)),
+    ):
         console.print(_table(comparison, title, caption, columns))
+    console.print(_method(comparison), highlight=False, soft_wrap=True)
     for line in failed:
         console.print(line, style="red", soft_wrap=True)
     console.print(f"report: {folder / 'comparison.html'}", soft_wrap=True)
@@ -58,17 +77,27 @@ def _table(comparison: Comparison, title: str, caption: str | None, columns: sli
     """Some of the columns, intervals below their figures: half the table's width."""
     table = Table(title=title, caption=caption, padding=(0, 1, 0, 0), show_lines=True)
     table.add_column("", no_wrap=True)
-    for c in ("×", *(f"{c.heading}\n{c.unit}" for c in COLUMNS))[columns]:
-        table.add_column(c, justify="right", no_wrap=True)
-    for name, row in cells(comparison):
+    for heading in HEADINGS[columns]:
+        table.add_column(heading.replace(" [", "\n").rstrip("]"), justify="right", no_wrap=True)
+    for name, row in _rows(comparison):
         table.add_row(name, *(cell.replace(" [", "\n[") for cell in row[columns]))
     return table
 
 
+def _rows(comparison: Comparison) -> list[tuple[str, list[str]]]:
+    """The whole table: the figures, and what a control step takes."""
+    steps = {variant.name: step_cells(variant) for variant in comparison.variants}
+    return [(name, [*row, *steps[name]]) for name, row in cells(comparison)]
+
+
 def _title(comparison: Comparison) -> str:
-    flights = comparison.variants[0].flights
-    seeds = f"{len(flights)} seeds" if len(flights) > 1 else "1 seed"
-    return f"{comparison.scene}: {comparison.duration_s:g} s, {seeds}, starts moved by up to {comparison.scatter:g} m and rad"
+    moved = f"starts moved by up to {comparison.scatter:g} m and rad"
+    return f"{comparison.scene}: {comparison.duration_s:g} s, {seeds_of(comparison)}, {moved}"
+
+
+def _method(comparison: Comparison) -> str:
+    """Intervals, times and code behind the figures, as a paper states them."""
+    return f"{INTERVALS}; control steps in processor time of this machine; commit {comparison.commit}"
 
 
 def _render(comparison: Comparison, failed: list[str]) -> str:
@@ -78,7 +107,8 @@ def _render(comparison: Comparison, failed: list[str]) -> str:
         comparison=comparison,
         title=_title(comparison),
         headings=HEADINGS,
-        rows=cells(comparison),
+        method=_method(comparison),
+        rows=_rows(comparison),
         failed=failed,
         script=Markup(saving_script()),
         closest=closest(comparison),

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightMetrics, Traces, Variant
-from groundstation.analysis.statistics import Interval, mean
+from groundstation.analysis.statistics import NOTHING, Interval, mean
 from groundstation.palette import COLOURS, colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, picture
@@ -41,6 +41,25 @@ COLUMNS = (
     Column("wanted beyond", "wanted_beyond", "% of steps", 100.0),
     Column("most wanted", "wanted_most", "limits", 1.0),
 )
+
+
+STEP_HEADINGS = ("control step, median [µs]", "control step, 99 % [µs]")
+
+
+def step_cells(variant: Variant) -> list[str]:
+    """Median and 99th percentile of the control step's processor time: means over the flights in which it was measured."""
+    times = [flight.step_us for flight in variant.flights if flight.step_us is not None]
+    if not times:
+        return [NOTHING, NOTHING]
+    return [str(mean([one.median for one in times])), str(mean([one.p99 for one in times]))]
+
+
+def seeds_of(comparison: Comparison) -> str:
+    """Number of seeds and which they are: `n = 10 seeds (1 to 10)`."""
+    seeds = [flight.seed for flight in comparison.variants[0].flights]
+    if len(seeds) == 1:
+        return f"n = 1 seed ({seeds[0]})"
+    return f"n = {len(seeds)} seeds ({seeds[0]} to {seeds[-1]})"
 
 
 def column(variant: Variant, key: str) -> list[float]:

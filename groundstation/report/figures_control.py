@@ -112,7 +112,7 @@ def latency(series: Series) -> TimePlot:
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
         latency_ms = r.states.timing(lambda t: t.exposure_to_pwm_ms)
-        lines.append(flown(series, r, f"robot {robot}", np.where(latency_ms > 0.0, latency_ms, np.nan), i))
+        lines.append(flown(series, r, f"robot {robot}", latency_ms, i))
     limit = series.experiment.limits.exposure_to_pwm_p99_ms
     return _dots("exposure to PWM [ms]", lines, limit, "ms for p99")
 

@@ -1,7 +1,7 @@
 """SHELL: a connection to a running station: the operator's requests, and what robots, localizer and station say."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -72,9 +72,15 @@ class ConnectedFleet:
 
     # --- requests
 
-    def load(self, wait_s: float | None = None) -> Outcome:
-        """Load the trajectories into all robots."""
-        return self._fleet("load", wait_s)
+    def load(
+        self, experiment: str | None = None, settings: Mapping[str, Any] | None = None, *, wait_s: float | None = None
+    ) -> Outcome:
+        """Fly another experiment's path: robots at rest with the next `start`, robots that hold at once. Pool, vehicle,
+        control and limits stay. Without an experiment: load the trajectories into all robots. Raises ConfigError."""
+        if experiment is None:
+            return self._fleet("load", wait_s)
+        lines = [f"{key}={toml_value(value)}" for key, value in (settings or {}).items()]
+        return self._ask("load", client.path_command(client.flight_of(experiment, lines)), wait_s)
 
     def arm(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
         """Load the trajectories and arm all robots; or arm one robot alone."""

@@ -100,7 +100,7 @@ def cycles(
         mission = Mission(experiment, segment, starts, automatic, give_up_s)
         inboxes, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
         laps = LapStatistics(tuner.lap_s)
-        station = Station(experiment, bus, clock, recorder, mission, tuner, laps, inboxes, threads, starts, insecure=insecure)
+        station = Station(experiment, bus, clock, recorder, mission, tuner, laps, inboxes, threads, insecure=insecure)
         station.views = station.fleet()
         bus.serve(WHOLE_FLEET, station.on_operator_command)
         log_to_bus(bus, clock, "groundstation")

@@ -25,15 +25,14 @@ from groundstation.mission.state_machine import READY, MissionState, in_words, r
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.prioritized_planning import OutOfTime
-from groundstation.planning.segment import PlanSegment
+from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
 from groundstation.web.backend import Status
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import PATIENT_MS
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import Experiment, with_flight
 from shoal.config.fault_injection import read_request
-from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Command, DriveVelocity, FaultRequest, Order, Reply, StationHeartbeat, Trajectory
@@ -98,7 +97,6 @@ class Station:
     laps: LapStatistics
     inboxes: FleetInboxes
     workers: Workers
-    starts: dict[int, Array]
     links: dict[int, LinkMonitor] = field(default_factory=dict)
     views: Fleet = field(default_factory=dict)  # as of the last cycle
     planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
@@ -271,18 +269,20 @@ class Station:
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
     def request(
-        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
     ) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
         of a refusal, or nothing, and the request's number."""
         if order is Order.FAULT:
-            return self._fault(form)
+            return self._fault(text)
         with self.lock:
-            reason, number = self.core.request(order, self.views, self.clock.now_ns(), via, only, form)
+            reason, number = self.core.request(order, self.views, self.clock.now_ns(), via, only, text)
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
-        request = f"{order.name} for robot {only}" if only and order is not Order.STOP else f"{order.name} {form}".strip()
+        request = (
+            f"{order.name} for robot {only}" if only and order is not Order.STOP else f"{order.name} {_shown(text)}".strip()
+        )
         log.info("%s %s", request, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
@@ -290,7 +290,9 @@ class Station:
         """Hand a person's fault to the simulator. Returns the reason of a refusal, or nothing, and the request's number."""
         simulator, number = process_name(Role.SIMULATOR), 0
         try:
-            what, for_s = read_request(text, self.experiment.robot_ids)
+            experiment = self.experiment
+            uses_camera = experiment.localizer.uses_camera
+            what, for_s = read_request(text, experiment.robot_ids, experiment.camera_names, uses_camera)
         except ValueError as error:
             reason = str(error)
         else:
@@ -303,18 +305,16 @@ class Station:
         log.info("FAULT %s %s", text, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
-    def plan_form(self, form: str) -> PlanSegment:
-        """Plan another form of the formation without flying it. Raises PlanError with the reason for which it cannot be."""
+    def draft(self, order: Order, text: str) -> PlanSegment:
+        """Plan another form of the formation, or another experiment's path, without flying it. Raises PlanError with the
+        reason for which it cannot be."""
         with self.lock:
             mission = self.mission
-            reason = rejection_reason(Order.FORMATION, mission.state) or mission.objection(
-                Order.FORMATION, self.views, form=form
-            )
-            holds = mission.state is MissionState.PAUSED
-            make = mission.plans.draft_form(form, self.views, self.clock.now_ns(), holds) if not reason else None
-        if make is None:
+            reason = rejection_reason(order, mission.state) or mission.objection(order, self.views, text=text)
+            make = mission.plans.draft_form(text, self.views, self.clock.now_ns(), mission.state)
+        if reason:
             raise PlanError(reason)
-        return make()
+        return first_segment(with_flight(self.experiment, text)) if order is Order.PATH else make()
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
@@ -366,12 +366,13 @@ class Station:
             self._lasting(),
             self.tuner.status(),
             self.laps.laps(),
-            blocking_findings(self.experiment, self.views, self.starts),
+            blocking_findings(self.experiment, self.views, mission.plans.starts),
             views=self.views,
             requests=self.requests.recent,
             ended=self.ended,
             led=self.single.status(),
             began_ns=mission.began_ns,
+            flown=mission.plans.flown.name,
         )
 
     def _tell(self) -> None:
@@ -392,6 +393,12 @@ class Station:
         if without_figures != self.last_line:
             self.last_line = without_figures
             (log.warning if self.mission.state in TROUBLED else log.info)("mission: %s", line)
+
+
+def _shown(text: str) -> str:
+    """A request's text for the log: of an experiment its name."""
+    named = re.search(r'^name = "([\w-]+)"$', text, re.MULTILINE)
+    return text if "\n" not in text else named[1] if named else "of another file"
 
 
 def _planned(wanted: PlanRequest, out_of_time: OutOfTime) -> PlanSegment | PlanError:

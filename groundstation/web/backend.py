@@ -31,6 +31,7 @@ class Status:
     requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
     ended: bool = False  # a person has ended the run
     beat_age_s: float = 0.0  # since the station's last cycle
+    flown: str = ""  # name of the experiment whose path is flown
     began_ns: int = 0  # instant at which the formation's flight began: time 0 for people; 0: not known
     led: Mapping[int, str] = field(default_factory=dict)  # robots that a person leads one by one, and what they do
 
@@ -50,10 +51,10 @@ class OperatorRequests(Protocol):
     request's number."""
 
     def request(
-        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
     ) -> tuple[str, int]: ...
-    def plan_form(self, form: str) -> PlanSegment:
-        """Plan another form without flying it. Raises PlanError."""
+    def draft(self, order: Order, text: str) -> PlanSegment:
+        """Plan another form, or another experiment's path, without flying it. Raises PlanError."""
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Move one robot at a velocity; it holds when none comes any more. Returns the reason of a refusal, or nothing."""

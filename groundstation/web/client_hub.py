@@ -20,9 +20,10 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
 from groundstation.web.backend import Backend
-from groundstation.web.experiment_editor import attempt, formed, save
+from groundstation.web.experiment_editor import attempt, drafted, flight_text, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
+from shoal.errors import ConfigError
 from shoal.messages.messages import DriveVelocity, Order
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, origin_allowed, token_allowed
@@ -312,8 +313,8 @@ class ClientHub:
             watcher.waiting = request
             if not watcher.busy:
                 self._spawn(self._attempt(watcher))
-        elif isinstance(request, protocol.PreviewForm):
-            self._spawn(self._preview_form(watcher, request))
+        elif isinstance(request, protocol.PreviewFlight):
+            self._spawn(self._preview_flight(watcher, request))
         elif isinstance(request, protocol.Save):
             self._spawn(self._save(watcher, request))
         elif isinstance(request, protocol.OfRuns):
@@ -357,10 +358,16 @@ class ClientHub:
         else:
             reason = self._may_command(watcher) or self._void(request.seen_ms)
             if not reason:
-                reason, number = await self._at(
-                    self._orders, self._source.station.request, order, request.via_m, request.robot, request.form
-                )
+                reason, number = await self._at(self._orders, self._order, order, request)
         self._answer(watcher, request.n, request.order, reason, number)
+
+    def _order(self, order: Order, request: protocol.OrderRequest) -> tuple[str, int]:
+        """Ask it of the station. Returns the reason of a refusal, or nothing, and the request's number."""
+        try:
+            text = flight_text(self._source.experiment, order, request.text, request.edit)
+        except ConfigError as error:
+            return str(error), 0
+        return self._source.station.request(order, request.via_m, request.robot, text)
 
     async def _drive(self, watcher: Client) -> None:
         """Tell the station the newest velocity, and again while newer ones come. The page hears of refusals alone."""
@@ -406,9 +413,15 @@ class ClientHub:
         finally:
             watcher.busy = False
 
-    async def _preview_form(self, watcher: Client, request: protocol.PreviewForm) -> None:
-        answer = await self._at(self._plans, formed, self._source.experiment, self._source.station.plan_form, request.form)
-        watcher.note({"k": "formed", "n": request.n} | answer)
+    async def _preview_flight(self, watcher: Client, request: protocol.PreviewFlight) -> None:
+        order, station = order_named(request.order), self._source.station
+        answer = await self._at(
+            self._plans,
+            drafted,
+            self._source.experiment,
+            lambda: station.draft(order, flight_text(self._source.experiment, order, request.text)),
+        )
+        watcher.note({"k": "drafted", "n": request.n} | answer)
 
     async def _save(self, watcher: Client, request: protocol.Save) -> None:
         reason = self._may_command(watcher)

@@ -1,33 +1,39 @@
 """SHELL: an operator's edit of pool, path, formation and robots: the real planner judges it, and a file keeps it."""
 
-from collections.abc import Callable, Mapping
-from itertools import combinations
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import PlanError
+from groundstation.planning.feasibility import figures
 from groundstation.planning.segment import PlanSegment
+from groundstation.planning.straight_sides import make_path
 from groundstation.web.commented_file import commented
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_samples, paths
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import EXPERIMENTS, Experiment, dump_experiment, load_experiment
 from shoal.config.formation_shapes import shape_nodes
-from shoal.config.loader import check
+from shoal.config.loader import check, read_toml
+from shoal.config.scene import Waypoints
 from shoal.errors import ConfigError
-from shoal.messages.messages import Trajectory
+from shoal.messages.messages import Order, Trajectory
 from shoal.runtime.output_files import replace_text
 
 EDITED = Path("experiments")  # below where the station was started
 # The path's keys by the edit's, for each kind of path
 _PATH_KEYS = {
-    "waypoints": {"points_m": "points_m", "start_index": "start_index", "speed_mps": "speed_mps", "depth_m": "depth_m"},
+    "waypoints": {
+        key: key for key in ("points_m", "start_index", "speed_mps", "depth_m", "laps", "corner", "corner_m", "stop")
+    },
     "circle": {"diameter_m": "diameter_m", "lap_s": "lap_s", "depth_m": "depth_m"},
     "route": {"points_m": "via_m", "speed_mps": "speed_mps", "depth_m": "depth_m"},
 }
+
+_OF_PATHS = sorted({key for keys in _PATH_KEYS.values() for key in keys})
 
 
 def edited(experiment: Experiment, edit: Edit) -> Experiment:
@@ -37,9 +43,7 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
     if "kind" in values and values["kind"] != table["path"]["kind"]:
         table["path"] = {"kind": values["kind"]}
     kind = table["path"]["kind"]
-    foreign = [
-        k for k in ("points_m", "start_index", "speed_mps", "diameter_m", "lap_s") if k in values and k not in _PATH_KEYS[kind]
-    ]
+    foreign = [k for k in _OF_PATHS if k in values and k not in _PATH_KEYS[kind]]
     if foreign:
         raise ConfigError(f"path.{foreign[0]}: a path of kind {kind} has none (allowed: {', '.join(_PATH_KEYS[kind])})")
     table["path"] |= {key: values[name] for name, key in _PATH_KEYS[kind].items() if name in values}
@@ -90,7 +94,11 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     try:
         changed = edited(experiment, edit)
         shown = {"nodes_m": [[robot.id, *robot.node_m] for robot in changed.robots]}  # also of what cannot be flown
-        drafted, problems = planner.draft(changed)
+        try:
+            drafted, problems = planner.draft(changed)
+        except ConfigError:
+            shown |= _shown_to_its_end(changed)
+            raise
         shown |= _shown(changed, drafted.trajectories)
         if not problems:
             planner.start_poses(changed, drafted.trajectories)
@@ -99,16 +107,48 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     return {"ok": not problems, "problems": problems, **shown}
 
 
-def formed(experiment: Experiment, plan: Callable[[str], PlanSegment], form: str) -> dict[str, Any]:
-    """Plan another form of the running formation: its paths and its least distance, or the reason against it."""
+def loadable(robots: tuple[int, ...]) -> list[str]:
+    """Experiments for just these robots: shipped ones by name, those of the editor as files."""
+    return [name for name, ids in _experiments_with_robots() if sorted(ids) == sorted(robots)]
+
+
+def _experiments_with_robots() -> Iterator[tuple[str, list[Any]]]:
+    files = {path.stem: path for path in sorted(EXPERIMENTS.glob("*.toml"))}
+    files |= {str(path): path for path in sorted(EDITED.glob("*.toml"))}
+    for name, path in files.items():
+        with contextlib.suppress(ConfigError):
+            robots = read_toml(path).get("robots")
+            yield name, [robot.get("id") for robot in robots if isinstance(robot, dict)] if isinstance(robots, list) else []
+
+
+def flight_text(experiment: Experiment, order: Order, text: str, edit: Edit | None = None) -> str:
+    """The text of a request as the station takes it: of a PATH the experiment, where a page gave an edit, or the name of one
+    that is `loadable`. Raises ConfigError."""
+    if order is Order.PATH and edit is not None:
+        return dump_experiment(edited(experiment, edit).model_copy(update={"name": "edited"}))
+    if order is not Order.PATH or "\n" in text or "=" in text:
+        return text
+    names = [name for name, _ in _experiments_with_robots()]
+    if text not in names:
+        raise ConfigError(f"experiment {text!r}: no such experiment (allowed: {', '.join(names)})")
+    return dump_experiment(load_experiment(text))
+
+
+def drafted(experiment: Experiment, plan: Callable[[], PlanSegment]) -> dict[str, Any]:
+    """Another form or path of the formation as it would be flown: its paths and its least distance, or the reason against
+    it."""
     try:
-        segment = plan(form)
-    except PlanError as error:
+        segment = plan()
+    except ConfigError as error:
         return {"ok": False, "problems": str(error).splitlines()}
     ahead = round((segment.end_s - segment.centre.begin_s) / segment.centre.period_s)
     flown = min(max(ahead, 2), len(segment.centre.eta))
-    about = {"clearance_m": clearance_m(segment.trajectories, flown), "needed_m": 2.0 * experiment.safety.radius_m}
-    return {"ok": True, "problems": [], "paths": paths(segment.trajectories, flown), **about}
+    return {
+        "ok": True,
+        "problems": [],
+        "paths": paths(segment.trajectories, flown),
+        "figures": _figures(experiment, segment.trajectories, flown),
+    }
 
 
 def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[str, Any]:
@@ -116,16 +156,23 @@ def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> di
     return {
         "paths": paths(trajectories, flown),
         "duration_s": experiment.duration_s,
-        "clearance_m": clearance_m(trajectories, flown),
-        "needed_m": 2.0 * experiment.safety.radius_m,
-        "fastest_mps": max(float(np.hypot(*t.velocity[:flown, :2].T).max()) for t in trajectories.values()),
+        "figures": _figures(experiment, trajectories, flown),
     }
 
 
-def clearance_m(trajectories: Mapping[int, Trajectory], flown: int) -> float:
-    """The least distance between the centres of any two robots; a large one if there is one robot only."""
-    pairs = combinations(trajectories.values(), 2)
-    return min((float(np.linalg.norm(a.eta[:flown, :3] - b.eta[:flown, :3], axis=1).min()) for a, b in pairs), default=1e3)
+def _shown_to_its_end(experiment: Experiment) -> dict[str, Any]:
+    """Paths that end before the run, as far as they go; nothing of others that cannot be planned."""
+    with contextlib.suppress(ConfigError, ValueError):
+        if isinstance(experiment.path, Waypoints):
+            end_s = make_path(experiment.path).end_s
+            period_s = experiment.controller.period_s
+            ended = experiment.model_copy(update={"duration_s": min(experiment.duration_s, end_s // period_s * period_s)})
+            return _shown(ended, planner.draft(ended)[0].trajectories)
+    return {}
+
+
+def _figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], flown: int) -> list[dict[str, Any]]:
+    return [dataclasses.asdict(figure) for figure in figures(experiment, trajectories, flown)]
 
 
 def save(experiment: Experiment, edit: Edit, name: str) -> dict[str, Any]:

@@ -20,7 +20,7 @@ EditedId = Annotated[int, msgspec.Meta(ge=1, le=49)]
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
 ORDERS = (*FLEET_REQUESTS, *map(order_name, (*WITH_DETAILS, *WATER)), "fault")
-FormText = Annotated[str, msgspec.Meta(max_length=100)]  # as read_form reads it
+DetailText = Annotated[str, msgspec.Meta(max_length=48 * 1024)]  # a form as read_form reads it, a fault, an experiment
 CameraName = Annotated[str, msgspec.Meta(max_length=64)]
 RunName = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]  # of its folder
 OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(ORDERS)})\Z")]
@@ -50,6 +50,31 @@ class Release(msgspec.Struct, tag_field="kind", tag="release", forbid_unknown_fi
     """Give control back."""
 
 
+class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Changes of pool, islands, path, formation and robots. What is None stays as it is."""
+
+    pool_m: Vec3 | None = None
+    islands_m: Annotated[list[Vec3], msgspec.Meta(max_length=MOST_ISLANDS)] | None = None  # x, y, radius of each
+    kind: Literal["circle", "waypoints", "route"] | None = None  # another path: it has only the keys that are given here
+    points_m: Annotated[list[Vec2], msgspec.Meta(min_length=2, max_length=200)] | None = None  # waypoints, or a route's places
+    start_index: Annotated[int, msgspec.Meta(ge=0, le=199)] | None = None  # of the waypoint at which the run begins
+    speed_mps: Typed | None = None
+    laps: Annotated[int, msgspec.Meta(ge=0, le=2**31)] | None = None  # of waypoints, as what follows
+    corner: Literal["smooth", "round", "stop"] | None = None
+    corner_m: Typed | None = None
+    stop: bool | None = None
+    diameter_m: Typed | None = None
+    lap_s: Typed | None = None
+    depth_m: Typed | None = None
+    duration_s: Typed | None = None
+    mode: Literal["translate", "rotate"] | None = None
+    scale: Typed | None = None
+    robots: Annotated[list[EditedId], msgspec.Meta(min_length=1, max_length=49)] | None = None  # all of them, in this order
+    nodes_m: Annotated[dict[EditedId, Vec3], msgspec.Meta(max_length=49)] | None = None
+    shape: Shape | None = None  # gives every robot its node instead
+    spacing_m: Typed | None = None
+
+
 class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
     """An order for the whole fleet, or for `robot`; `n` comes back with the answer. `via_m`: places of a `go`."""
 
@@ -57,7 +82,8 @@ class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown
     order: OrderName
     via_m: Annotated[list[Vec2], msgspec.Meta(max_length=MOST_PLACES)] = []
     robot: RobotId = 0
-    form: FormText = ""  # of a `formation`; of a `fault` what breaks
+    text: DetailText = ""  # form of a `formation`, what breaks of a `fault`, of a `path` an experiment's name or its TOML
+    edit: Edit | None = None  # of a `path`: the running experiment with this edit, in place of a text
     seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
 
 
@@ -80,27 +106,6 @@ class TuneRequest(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_f
     seen_ms: Count = 0  # as of an order
 
 
-class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Changes of pool, islands, path, formation and robots. What is None stays as it is."""
-
-    pool_m: Vec3 | None = None
-    islands_m: Annotated[list[Vec3], msgspec.Meta(max_length=MOST_ISLANDS)] | None = None  # x, y, radius of each
-    kind: Literal["circle", "waypoints", "route"] | None = None  # another path: it has only the keys that are given here
-    points_m: Annotated[list[Vec2], msgspec.Meta(min_length=2, max_length=200)] | None = None  # waypoints, or a route's places
-    start_index: Annotated[int, msgspec.Meta(ge=0, le=199)] | None = None  # of the waypoint at which the run begins
-    speed_mps: Typed | None = None
-    diameter_m: Typed | None = None
-    lap_s: Typed | None = None
-    depth_m: Typed | None = None
-    duration_s: Typed | None = None
-    mode: Literal["translate", "rotate"] | None = None
-    scale: Typed | None = None
-    robots: Annotated[list[EditedId], msgspec.Meta(min_length=1, max_length=49)] | None = None  # all of them, in this order
-    nodes_m: Annotated[dict[EditedId, Vec3], msgspec.Meta(max_length=49)] | None = None
-    shape: Shape | None = None  # gives every robot its node instead
-    spacing_m: Typed | None = None
-
-
 class PreviewEdit(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fields=True, frozen=True):
     """Plan an edit with the real planner and tell what comes of it; nothing flies."""
 
@@ -108,11 +113,12 @@ class PreviewEdit(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fi
     edit: Edit
 
 
-class PreviewForm(msgspec.Struct, tag_field="kind", tag="form", forbid_unknown_fields=True, frozen=True):
-    """Plan another form of the running formation and tell what comes of it; nothing flies it."""
+class PreviewFlight(msgspec.Struct, tag_field="kind", tag="draft", forbid_unknown_fields=True, frozen=True):
+    """Plan another form or path of the formation and tell what comes of it; nothing flies it."""
 
     n: Count
-    form: FormText
+    order: Literal["formation", "path"]
+    text: DetailText  # as of an order
 
 
 class Save(msgspec.Struct, tag_field="kind", tag="save", forbid_unknown_fields=True, frozen=True):
@@ -178,7 +184,7 @@ Request = (
     | DriveRequest
     | TuneRequest
     | PreviewEdit
-    | PreviewForm
+    | PreviewFlight
     | Save
     | ChooseCamera
     | Remark

@@ -227,11 +227,11 @@ class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
     def request(
-        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
     ) -> tuple[str, int]:
         return "this is a recorded run", 0
 
-    def plan_form(self, form: str) -> PlanSegment:
+    def draft(self, order: Order, text: str) -> PlanSegment:
         raise PlanError("this is a recorded run")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:

@@ -113,7 +113,7 @@ class SeldomRelay(logging.Handler):
         self._told_s: dict[str, float] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Tell it, or count it."""
+        """Log a stranger's message; of the same text within SAY_AGAIN_S only the number, with the next one."""
         text, now_s = str(record.msg), time.monotonic()  # without arguments: these are the stranger's
         if now_s - self._told_s.get(text, float("-inf")) < SAY_AGAIN_S or (
             text not in self._told_s and len(self._told_s) >= MOST_TEXTS

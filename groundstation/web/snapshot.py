@@ -71,6 +71,7 @@ class FleetSnapshot:
     requests: Sequence[Outcome] = ()
     ended: bool = False
     led: Mapping[int, str] = field(default_factory=dict)
+    flown: str = ""  # name of the experiment whose path is flown
     pace: float | None = None  # simulated seconds per second, lately; None for a fleet that lives by the wall clock
 
 
@@ -93,6 +94,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "requests": [_request(outcome) for outcome in news.requests],
         "ended": news.ended,
         "pace": news.pace,
+        "flown": news.flown,
         "led": [{"robot": robot, "text": text} for robot, text in news.led.items()],
         "robots": [_robot(robot, view) for robot, view in news.robots.items()],
     }

@@ -74,7 +74,8 @@ class CorrelationFilter:
     def _respond(
         self, robots: NDArray[np.intp], spectrum: Complex, energy: Real
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Peaks of the responses to features."""
+        """Peaks of the responses of the filters `robots` (n,) to the features of their patches, `spectrum` and `energy`.
+        Returns the places of the peaks and their heights."""
         kernel = self._kernel((spectrum * self._model[robots]).sum(axis=1), energy + self._model_energy[robots])
         kernel *= self._dual[robots]
         return self._peaks.find(scipy.fft.irfft2(kernel, s=self._size, overwrite_x=True))  # equation 22

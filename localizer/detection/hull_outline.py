@@ -11,12 +11,12 @@ behind it, gives no centre. A disc does, and a wrong one: it looks as round at a
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import DemosaicedRegion
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Floats, Image, Table
 
 _RAYS = 48
 _ANGLES = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
@@ -101,8 +101,8 @@ def _silhouette(view: RefractiveCamera, centre: Array, across: Array, radius: fl
     return np.asarray(centre - radius**2 / away_m * down + radius * np.sqrt(1.0 - (radius / away_m) ** 2) * (_AROUND @ across))
 
 
-@kernel("void(u1[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
-def outline_edges(picture: NDArray[np.uint8], points: Array, normals: Array, edges: Array) -> None:
+@kernel
+def outline_edges(picture: Image, points: Table, normals: Table, edges: Table) -> None:
     """`edges` (n, 2 k + 1): the change of colour between points + (j - 1) normals and points + (j + 1) normals (n, 2) of a
     `picture` (height, width, 3), bilinear, for j = -k ... k. 0 where one of them is not in it."""
     height, width = picture.shape[0], picture.shape[1]
@@ -133,8 +133,8 @@ def outline_edges(picture: NDArray[np.uint8], points: Array, normals: Array, edg
             edges[i, m] = np.sqrt(change) if change >= 0.0 else 0.0  # 0 for NaN
 
 
-@kernel("void(f8[:,::1], f8[:,::1], i8, f8[::1])")
-def strongest_circle(edges: Array, around: Array, reach: int, circle: Array) -> None:
+@kernel
+def strongest_circle(edges: Table, around: Table, reach: int, circle: Floats) -> None:
     """Shift and growth (dx, dy, dr) of the circle with the strongest edges, in steps of them: an edge of ray i lies at
     dx around[i, 0] + dy around[i, 1] + dr from the middle of its row. Into found[:3]."""
     middle = edges.shape[1] // 2
@@ -152,8 +152,8 @@ def strongest_circle(edges: Array, around: Array, reach: int, circle: Array) -> 
                     circle[0], circle[1], circle[2] = a, b, c
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8, f8, f8[::1])")
-def fit_circle(edges: Array, around: Array, window: float, least: float, circle: Array) -> None:
+@kernel
+def fit_circle(edges: Table, around: Table, window: float, least: float, circle: Floats) -> None:
     """The same circle by robust least squares (Cauchy) through each row's strongest edge within `window` of its middle, to a
     fraction of a step, if it is `least` at least. `circle` (5,): dx, dy, dr, the share of rays whose edge lies on the circle,
     and the RMS distance of these edges from it."""

@@ -103,6 +103,7 @@ class LensStep:
         return fit_intrinsics(list(self.views), self._lens.size_px)
 
     def _posture(self, view: TargetView) -> BoardPosture:
+        """Place, size and tilt of the board in a view, by the guessed lens."""
         width, _ = self._lens.size_px
         _, turn, _ = cv2.solvePnP(view.board_m, view.pixels[:, None], self._lens.matrix, np.array(self._lens.distortion))
         normal = np.asarray(cv2.Rodrigues(turn)[0])[:, 2]  # the board's, in the camera's frame: away from the camera

@@ -61,6 +61,7 @@ class BusSource:
         return self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
 
     def _captured(self, received: Received[Frame]) -> CapturedFrame:
+        """A received frame with its stamp, its instants on our clock, and the frames dropped before it."""
         header, instant_ns = received.header, self._clock.instant_ns(received)
         return CapturedFrame(
             received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns + received.late_ns,

@@ -9,10 +9,9 @@ outlier and moves nothing, and what is left of the texture gives the covariance.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Floats, SingleCube, SingleTable, Table
 
 _ROUNDS = 7  # Gauss-Newton iterations; a correlation is off by less than a sample, and the last two move a tenth of one
 _BORDER = 3  # samples at the patch's edge that are left out: a shift may move that far
@@ -27,8 +26,8 @@ _BLOCK_SHARE = 0.5  # of the texture of a block; of a block with another pattern
 _SHARED = 5  # unknowns of all channels: shift ahead, shift to starboard, rotation, slopes of brightness ahead and to starboard
 
 
-@kernel("void(f8[:,::1])", part=True)
-def invert(matrix: Array) -> None:
+@kernel(part=True)
+def invert(matrix: Table) -> None:
     """Invert a symmetric positive definite matrix (n, n) in place, by Gauss-Jordan elimination on its diagonal."""
     n = matrix.shape[0]
     for k in range(n):
@@ -44,10 +43,8 @@ def invert(matrix: Array) -> None:
                     matrix[i, j] -= factor * matrix[k, j]
 
 
-@kernel("f8(f4[:,:,::1], f4[:,:,::1], f4[:,::1], f8[::1], f8[:,::1])")
-def align(
-    learnt: NDArray[np.float32], patch: NDArray[np.float32], weights: NDArray[np.float32], move: Array, covariance: Array
-) -> float:
+@kernel
+def align(learnt: SingleCube, patch: SingleCube, weights: SingleTable, move: Floats, covariance: Table) -> float:
     """Find the `move` (4,) [samples ahead (columns), samples to starboard (rows), rad, gain of brightness] of the `learnt`
     samples (channels, n, n) in a later `patch`, and the `covariance` (3, 3) of the first three. Returns the share of learnt
     texture that is seen again, 0 to 1.

@@ -83,6 +83,8 @@ class CameraBumps:
             record.proven = record.proven or record.apart_in_place_s > _MARKS_TELL_S
 
     def _judge(self, record: _Record, moved: str, apart: str, well: bool, in_place: bool, step_s: float) -> None:
+        """Take a camera out, or in again. Out: its check marks show that it was `moved` (the reason), or its poses are `apart`
+        from another camera's for _SURE_S and its marks are not `in_place`. In: it has been `well` for _WELL_S."""
         record.suspected_s = record.suspected_s + step_s if record.suspected and apart else 0.0
         record.suspected = bool(apart) or 0.0 < record.leapt_s <= _MARKS_TELL_S
         if moved:

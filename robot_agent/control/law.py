@@ -2,7 +2,7 @@
 
 import importlib
 from collections.abc import Callable
-from typing import Any, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 from robot_agent.control.baselines.adaptive_nn import AdaptiveNn
 from robot_agent.control.baselines.backstepping import Backstepping
@@ -51,14 +51,42 @@ def heading_gain(config: ControllerConfig) -> float:
     return section.guidance_per_s2 if isinstance(section, FeedbackLawConfig) else FeedbackLawConfig().guidance_per_s2
 
 
+class LawParts(NamedTuple):
+    """All that a feedback law may be built from."""
+
+    axes: Axes
+    vehicle: Vehicle
+    model: Model
+    config: ControllerConfig
+    period_s: float
+
+
+def _adaptive_nn(parts: LawParts) -> AdaptiveNn:
+    limits = parts.vehicle.limits
+    return AdaptiveNn(parts.axes, parts.config.adaptive_nn, (limits.speed_mps, limits.heave_mps, limits.yaw_rate_radps))
+
+
+LAWS: dict[str, Callable[[LawParts], FeedbackLaw]] = {  # by `controller.law`
+    "backstepping": lambda parts: Backstepping(parts.axes, parts.config.backstepping),
+    "pid": lambda parts: Pid(parts.axes, parts.config.pid),
+    "lqr": lambda parts: Lqr(parts.axes, parts.config.lqr, parts.model.lag_s, parts.period_s),
+    "sliding-mode": lambda parts: SlidingMode(parts.axes, parts.config.sliding_mode),
+    "fuzzy": lambda parts: Fuzzy(parts.axes, parts.config.fuzzy),
+    "adaptive-nn": _adaptive_nn,
+}
+
+
 def make_law(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float, rows: int) -> Law:
-    """Build the law named in the settings. `rows` is the largest number of half-spaces."""
+    """Build the law named in the settings: the article's, one of LAWS, or MODULE:NAME. `rows` is the largest number of
+    half-spaces."""
     if config.law == "eso-mpc-article":
         return Mpc(vehicle, model, config.mpc, period_s, rows)
     if ":" in config.law:
         law = _own(config.law)(vehicle, model, config, period_s)
         return law if hasattr(law, "plan") else Feedback(law, vehicle, model, period_s, config.mpc.horizon)
-    return Feedback(_feedback(vehicle, model, config, period_s), vehicle, model, period_s, config.mpc.horizon)
+    surge_n, heave_n, yaw_nm = vehicle.limits.wrench[:3]  # these laws know no other axis
+    parts = LawParts(Axes(model, (surge_n, heave_n, yaw_nm)), vehicle, model, config, period_s)
+    return Feedback(LAWS[config.law](parts), vehicle, model, period_s, config.mpc.horizon)
 
 
 def _own(name: str) -> Callable[[Vehicle, Model, ControllerConfig, float], Any]:
@@ -71,25 +99,3 @@ def _own(name: str) -> Callable[[Vehicle, Model, ControllerConfig, float], Any]:
     if not callable(own_maker):
         raise ConfigError(f"controller.law = {name!r}: must name a class or a function")
     return cast("Callable[[Vehicle, Model, ControllerConfig, float], Any]", own_maker)
-
-
-def _feedback(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float) -> FeedbackLaw:
-    """The feedback law that `controller.law` names."""
-    limits = vehicle.limits
-    surge_n, heave_n, yaw_nm = limits.wrench[:3]  # these laws know no other axis
-    axes = Axes(model, (surge_n, heave_n, yaw_nm))
-    match config.law:
-        case "backstepping":
-            return Backstepping(axes, config.backstepping)
-        case "pid":
-            return Pid(axes, config.pid)
-        case "lqr":
-            return Lqr(axes, config.lqr, model.lag_s, period_s)
-        case "sliding-mode":
-            return SlidingMode(axes, config.sliding_mode)
-        case "fuzzy":
-            return Fuzzy(axes, config.fuzzy)
-        case "adaptive-nn":
-            return AdaptiveNn(axes, config.adaptive_nn, (limits.speed_mps, limits.heave_mps, limits.yaw_rate_radps))
-        case _:
-            raise ValueError(f"{config.law} is no feedback law")

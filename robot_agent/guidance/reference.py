@@ -7,11 +7,12 @@ import numpy as np
 
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Cube, Floats, Table
 from shoal.messages.messages import Trajectory
 
 
-@kernel("void(f8[:,::1], f8[::1], f8[:,::1])")
-def interpolate_rows(table: Array, place: Array, out: Array) -> None:
+@kernel
+def interpolate_rows(table: Table, place: Floats, out: Table) -> None:
     """Rows of `table` (rows, columns) at fractional row numbers `place` (n,), linearly; held beyond its ends. `out` (n,
     columns)."""
     last = len(table) - 1
@@ -24,9 +25,9 @@ def interpolate_rows(table: Array, place: Array, out: Array) -> None:
             out[i, j] = table[low, j] + share * (table[high, j] - table[low, j])
 
 
-@kernel("void(f8[:,:,::1], f8, f8, f8, f8, f8[::1], f8[:,:,::1])")
+@kernel
 def sample_trajectory(
-    samples: Array, begin_s: float, period_s: float, time_s: float, rate: float, offset_s: Array, out: Array
+    samples: Cube, begin_s: float, period_s: float, time_s: float, rate: float, offset_s: Floats, out: Cube
 ) -> None:
     """Linear interpolation of a trajectory's `samples` (3, n, 4), poses, velocities and accelerations, `period_s` apart from
     `begin_s` on, at time_s + rate offset_s; before and after it its first and last pose, at rest. `out` (3, offsets, 4).

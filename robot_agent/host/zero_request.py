@@ -2,7 +2,8 @@
 
 The robot's program has the board's port. So the command puts a request into the folder where the service keeps its state; the
 program sends it to the board and takes the file away once the board has acknowledged it. If nobody takes it, the command opens
-the link itself.
+the link itself. What a killed command has left counts no more: a request says in which boot of the computer it was made, and
+when, by a clock that nobody sets. A robot's computer often has no other clock after a start.
 """
 
 import time
@@ -10,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from robot_agent.host.board_zero import boot_id, boot_time_s
 from robot_agent.host.config import AgentConfig, open_board_link
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import ACCEPTED, CALIBRATE, UNSUPPORTED, AgentLink
@@ -49,15 +51,14 @@ class ZeroRequests:
         return link.calibrate(pressure=request == AIR) if request else b""
 
     def _read(self) -> str:
+        """The request in the folder; empty if there is none, or its command has ended."""
         assert self._folder is not None
         try:
-            path = self._folder / FILE
-            if time.time() - path.stat().st_mtime > 2.0 * WITHIN_S:
-                return ""  # its command has ended
-            request = read_regular(path, MOST_BYTES).decode("ascii", "replace").strip()
+            request, boot, at_s = read_regular(self._folder / FILE, MOST_BYTES).decode("ascii", "replace").split()
+            age_s = boot_time_s() - float(at_s)
         except (OSError, ValueError):
             return ""
-        return request if request in (KEPT, AIR) else ""
+        return request if request in (KEPT, AIR) and boot == _this_boot() and 0.0 <= age_s <= 2.0 * WITHIN_S else ""
 
     def _end(self) -> None:
         assert self._folder is not None
@@ -66,12 +67,21 @@ class ZeroRequests:
             (self._folder / FILE).unlink()
 
 
+def _this_boot() -> str:
+    return boot_id() or "unnamed"
+
+
+def write_request(path: Path, in_air: bool) -> None:
+    """Make a request now. Raises OSError."""
+    replace_text(path, f"{AIR if in_air else KEPT} {_this_boot()} {boot_time_s():.3f}", durable=False)
+
+
 def ask_program(folder: Path, in_air: bool) -> bool:
     """Have the robot's program send the request. False if none takes it up. Raises OSError."""
     if not folder.is_dir():
         return False
     path = folder / FILE
-    replace_text(path, AIR if in_air else KEPT, durable=False)
+    write_request(path, in_air)
     try:
         end_s = time.monotonic() + WITHIN_S
         while path.exists() and time.monotonic() < end_s:

@@ -29,6 +29,7 @@ from shoal.runtime.version import code
 REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
 BOARD_WITHIN_S = 2.0
 HIGHEST_M = 0.05  # above the surface; a sensor's noise and drift in a session
+ZERO_JUDGED_MS = 1000  # of its life, from which on a board has judged its depth zero: 8 pressures take it 0.3 s
 
 
 def run_preflight(
@@ -143,18 +144,19 @@ def read_telemetry(config: AgentConfig) -> tuple[Telemetry, str]:
                 return mavlink.telemetry, wires.advice
             if mavlink.telemetry.board_ms >= 0:
                 telemetry = mavlink.telemetry
-                if telemetry.battery_reports and telemetry.heartbeats:
+                judged = not telemetry.zero_in_question or telemetry.board_ms > ZERO_JUDGED_MS
+                if telemetry.battery_reports and telemetry.heartbeats and judged:
                     break
         if telemetry is None:
-            why = wires.trouble or _others(mavlink.telemetry, config.robot)
+            why = wires.trouble or _foreign_frames(mavlink.telemetry, config.robot)
             raise ConfigError(f"{config.link}: silent for {within_s:g} s{why and '; '}{why}")
         return telemetry, wires.advice
     finally:
         wires.close()
 
 
-def _others(telemetry: Telemetry, robot: int) -> str:
-    """Text about the frames that came instead of the board's own; empty if there were none."""
+def _foreign_frames(telemetry: Telemetry, robot: int) -> str:
+    """Text about frames that came where the board's own were expected: whose they are; empty if none came."""
     if telemetry.forged_frames:
         return "what comes is signed with another key, or there is no link_key"
     if telemetry.unsigned_frames:

@@ -10,6 +10,7 @@ import numpy as np
 
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, StampedPlan, StampedPose, StationView
+from robot_agent.safety.sensor_checks import LEVEL_MPS2
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.mavlink.agent_link import Telemetry
@@ -48,6 +49,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
             board_ms=now_ns // 1_000_000,
             arrival_ns=now_ns,
             yaw_rate_radps=SPEED_MPS / RADIUS_M if k > ARM_AFTER else 0.0,
+            acceleration_mps2=LEVEL_MPS2,
             depth_m=told_m,
             armed=k >= ARM_AFTER,
             battery_v=full_v,

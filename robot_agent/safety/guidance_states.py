@@ -73,43 +73,46 @@ class StayLimits(NamedTuple):
 
 @dataclass(frozen=True)
 class GuidanceState:
-    """A state: its flight, its longest stay, and what happens then."""
+    """A state: its flight, the function that decides it, its longest stay, and what happens then."""
 
     flown: str
+    decided_by: str
     bounds: str
     longest: str
     longest_s: Callable[[StayLimits], float]
     then: str
 
 
-FORESEEN = "place against the plan's prediction"
+FORESEEN = "the plan's prediction"
 
 STATES: dict[Guidance, GuidanceState] = {
-    Guidance.NONE: GuidanceState("nothing: neutral", "none: it has no thrust", "until an order", lambda s: float("inf"), "-"),
+    Guidance.NONE: GuidanceState(
+        "nothing: neutral", "Agent._goal", "none: it has no thrust", "until a command", lambda s: float("inf"), "-"
+    ),
     Guidance.JOINING: GuidanceState(
-        "the path", f"{FORESEEN}; the error it began with and `safety.off_path_m`",
+        "the path", "TrajectoryClock.goal", f"{FORESEEN}; the error it began with and `safety.off_path_m`",
         "twice the time of the way to the path, and two horizons", lambda s: s.join_s,
         "FAULT: not in time on its path",
     ),
     Guidance.ON_PATH: GuidanceState(
-        "the path", f"{FORESEEN}; `safety.off_path_m`", "to the path's end", lambda s: s.path_s,
+        "the path", "TrajectoryClock.goal", f"{FORESEEN}; `safety.off_path_m`", "to the path's end", lambda s: s.path_s,
         "the path's last pose is held",
     ),
     Guidance.GIVING_WAY: GuidanceState(
-        "a way around what is in the way, chosen by the rule for right of way",
+        "a way around what is in the way, chosen by the rule for right of way", "GiveWay",
         f"{FORESEEN}; while nothing is in its way as RETURNING",
         f"{LONGEST_AWAY_S:g} s, RETURNING included", lambda s: LONGEST_AWAY_S, "HOLDING: gives way for too long",
     ),
     Guidance.RETURNING: GuidanceState(
-        "the way back to the path", f"{FORESEEN}; the error it began with and `safety.off_path_m`",
+        "the way back to the path", "GiveWay", f"{FORESEEN}; the error it began with and `safety.off_path_m`",
         f"{LONGEST_AWAY_S:g} s, GIVING_WAY included", lambda s: LONGEST_AWAY_S, "HOLDING: gives way for too long",
     ),
     Guidance.HOLDING: GuidanceState(
-        "the place where it can stop", f"{FORESEEN}; `safety.off_path_m` from the place, once it was there",
-        "until an order; without a station `safety.station_neutral_s`", lambda s: float("inf"), "FAULT: station silent",
+        "the place where it can stop", "Agent._goal", f"{FORESEEN}; `safety.off_path_m` from the place, once it was there",
+        "until a command; without a station `safety.station_neutral_s`", lambda s: float("inf"), "FAULT: station silent",
     ),
     Guidance.DRIVEN: GuidanceState(
-        "the arc of the last DRIVE; its reference leads by 0.5 m at most", FORESEEN,
+        "the arc of the last DRIVE; its reference leads by 0.5 m at most", "Driver.goal", FORESEEN,
         f"{DRIVE_LASTS_S:g} s after the last DRIVE", lambda s: DRIVE_LASTS_S, "HOLDING: no drive command",
     ),
 }  # fmt: skip
@@ -117,8 +120,10 @@ STATES: dict[Guidance, GuidanceState] = {
 
 def table() -> str:
     """Both tables as Markdown, for docs/reference/modes.md."""
-    lines = ["| Guidance state | what is flown | bounds | longest stay | then |", "| --- | --- | --- | --- | --- |"]
-    lines += [f"| {name.name} | {s.flown} | {s.bounds} | {s.longest} | {s.then} |" for name, s in STATES.items()]
+    lines = ["| Guidance state | what is flown | decided by | bounds | longest stay | then |", f"|{' --- |' * 6}"]
+    lines += [
+        f"| {name.name} | {s.flown} | `{s.decided_by}` | {s.bounds} | {s.longest} | {s.then} |" for name, s in STATES.items()
+    ]
     lines += ["", "| From, first match first | when | to |", "| --- | --- | --- |"]
     for t in TRANSITIONS:
         states = "any" if t.states == ANY else ", ".join(s.name for s in Guidance if s in t.states)

@@ -6,7 +6,7 @@ from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
 from robot_agent.safety.output_check import OutputCheck
 from robot_agent.safety.path_deviation import PathDeviationMonitor
 from robot_agent.safety.path_watch import PathWatch
-from robot_agent.safety.sensor_checks import GyroscopeCheck, StuckSensorCheck
+from robot_agent.safety.sensor_checks import NOISE_M, NOISE_RADPS, GravityCheck, GyroscopeCheck, StuckSensorCheck
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.battery import BatteryMonitor
 from robot_agent.vehicle.eso import GATE_RAD
@@ -32,7 +32,8 @@ class HealthMonitor:
         self._battery = BatteryMonitor(experiment.vehicle.battery)
         self._outputs = OutputCheck(experiment.vehicle.thruster_count)
         self._thrusters = ThrusterFaultDetector(experiment.vehicle)
-        self._gyroscope, self._pressure = GyroscopeCheck(), StuckSensorCheck()
+        self._gyroscope, self._rate, self._gravity = GyroscopeCheck(), StuckSensorCheck(NOISE_RADPS), GravityCheck()
+        self._pressure = StuckSensorCheck(NOISE_M)
         self._uses_gyroscope = experiment.controller.estimator.use_imu_yaw_rate
         self._allocator, self._watch = make_allocator(experiment.vehicle), PathWatch(experiment, told_period_s)
         self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
@@ -85,12 +86,14 @@ class HealthMonitor:
         return output is None or output.estimate is None or abs(wrap(yaw_rad - output.estimate.eta.item(3))) < GATE_RAD
 
     def _check_sensors(self, inputs: Inputs) -> None:
-        """Compare the board's sensors with themselves and with the poses."""
+        """Compare the board's sensors with themselves, with gravity and with the poses."""
         newest, telemetry = inputs.pose, inputs.telemetry
         if telemetry.board_ms < 0:
             return
         self._pressure.note_sample(telemetry.depth_m, telemetry.arrival_ns)
         if self._uses_gyroscope:
+            self._rate.note_sample(telemetry.yaw_rate_radps, telemetry.arrival_ns)
+            self._gravity.note_sample(telemetry.acceleration_mps2, telemetry.arrival_ns)
             self._gyroscope.note_rate(telemetry.yaw_rate_radps, telemetry.arrival_ns)
             if newest is not None and newest.is_seen:
                 self._gyroscope.note_heading(newest.pose.yaw_rad, newest.instant_ns)
@@ -132,7 +135,8 @@ class HealthMonitor:
             board_age_s=_age_s(telemetry.arrival_ns if telemetry.board_ms >= 0 else None, now_ns),
             board_disarmed_s=disarmed_s,
             autopilot=telemetry.autopilot_name,
-            gyroscope_apart_rad=self._gyroscope.apart_rad,
+            gyroscope=self._gyroscope_doubt,
+            accelerometer=self._gravity.doubt,
             depth_same_s=self._pressure.same_s,
             battery_empty=self._battery.empty,
             emergency_stop=inputs.emergency_stop,
@@ -152,6 +156,13 @@ class HealthMonitor:
             place_age_s=observation.pose_age_s if observation is not None else 0.0,
             drive_age_s=drive_age_s,
         )
+
+    @property
+    def _gyroscope_doubt(self) -> str:
+        if self._rate.same_s:
+            return f"exactly the same for {self._rate.same_s:.1f} s"
+        apart_rad = self._gyroscope.apart_rad
+        return f"its turn and the camera's differ by {apart_rad:.2f} rad" if apart_rad else ""
 
     @property
     def guidance(self) -> Guidance:
@@ -195,8 +206,10 @@ class HealthMonitor:
             return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
         if health.depth_same_s:
             return f"the depth sensor has said exactly {depth_m:.2f} m for {health.depth_same_s:.1f} s: it measures nothing"
-        if health.gyroscope_apart_rad:
-            return f"gyroscope and camera differ by {health.gyroscope_apart_rad:.2f} rad: check the gyroscope, and the marker"
+        if health.gyroscope:
+            return f"gyroscope in doubt: {health.gyroscope}: check the gyroscope, and the marker"
+        if health.accelerometer:
+            return f"accelerometer in doubt: {health.accelerometer}"
         return self._battery.arming_refusal(now_ns)
 
     def arming_command(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:

@@ -4,6 +4,7 @@ ORDERS lists the modes in which each command is accepted. REACTIONS lists the ro
 of them leads back to thrust. `robot-agent modes` prints both for docs/reference/modes.md.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -77,7 +78,8 @@ class Health(NamedTuple):
     place_age_s: float = 0.0  # of the last pose that did not contradict the estimate
     drive_age_s: float = 0.0  # of the last DRIVE, on the station's clock
     autopilot: str = ""  # the name of the autopilot that answers in place of a thruster board
-    gyroscope_apart_rad: float = 0.0  # how far the turn by the gyroscope is from that by the poses, once that lasts
+    gyroscope: str = ""  # the reason to doubt the gyroscope,
+    accelerometer: str = ""  # and the accelerometer
     depth_same_s: float = 0.0  # for how long the depth has been exactly the same, once that is too long
 
 
@@ -108,7 +110,7 @@ REACTIONS: tuple[Reaction, ...] = (
     _watched("current too strong", POWERED, Mode.FAULT),
     Reaction(
         "thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT,
-        lambda h: h.likely_cause or "one is broken, or something holds the robot fast",
+        lambda h: h.likely_cause or "one is broken, something holds the robot fast, or the gyroscope is wrong",
     ),
     Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT, lambda h: h.likely_cause),
     _watched("not in time on its path", POWERED, Mode.FAULT),
@@ -119,10 +121,8 @@ REACTIONS: tuple[Reaction, ...] = (
         "depth sensor stuck", POWERED, lambda h, s: h.depth_same_s > 0.0, Mode.FAULT,
         lambda h: f"exactly the same for {h.depth_same_s:.1f} s",
     ),
-    Reaction(
-        "gyroscope in doubt", POWERED, lambda h, s: h.gyroscope_apart_rad > 0.0, Mode.FAULT,
-        lambda h: f"its turn and the camera's differ by {h.gyroscope_apart_rad:.2f} rad",
-    ),
+    Reaction("gyroscope in doubt", POWERED, lambda h, s: h.gyroscope != "", Mode.FAULT, lambda h: h.gyroscope),
+    Reaction("accelerometer in doubt", POWERED, lambda h, s: h.accelerometer != "", Mode.FAULT, lambda h: h.accelerometer),
     Reaction(
         "no depth", POWERED, lambda h, s: h.depth_age_s > s.pose_neutral_s, Mode.FAULT,
         lambda h: f"none that can be true for {h.depth_age_s:.2f} s",
@@ -176,14 +176,17 @@ def table() -> str:
             if mode in transition.accepted_in and transition.to not in (None, mode) and order is not Order.STOP:
                 assert transition.to is not None
                 lines.append(f"    {mode.name} --> {transition.to.name}: {order.name}")
-    lines += ["```", "", "| Order | accepted when | leads to |", "| --- | --- | --- |"]
+    lines += ["```", "", "| Command | accepted when | leads to |", "| --- | --- | --- |"]
     for order, transition in ORDERS.items():
-        accepted = "any mode" if transition.accepted_in == ANY else _names(transition.accepted_in)
+        accepted = _names(transition.accepted_in)
         lines.append(f"| {order.name} | {accepted} | {transition.to.name if transition.to is not None else 'same mode'} |")
-    lines += ["", "| By itself, first match first | when | leads to |", "| --- | --- | --- |"]
-    lines += [f"| {r.reason} | {_names(r.modes)} | {r.to.name} |" for r in REACTIONS]
+    lines += ["", f"*With thrust*: {', '.join(m.name for m in Mode if m in POWERED)}. *Live*: these and ARMED.", ""]
+    lines += ["| By itself, first match first | when | leads to |", "| --- | --- | --- |"]
+    for (modes, to), reactions in itertools.groupby(REACTIONS, key=lambda r: (r.modes, r.to)):
+        lines.append(f"| {'; '.join(r.reason for r in reactions)} | {_names(modes)} | {to.name} |")
     return "\n".join(lines) + "\n"
 
 
 def _names(modes: frozenset[Mode]) -> str:
-    return ", ".join(m.name for m in Mode if m in modes)
+    groups = {ANY: "any", ANY - {Mode.STOPPED}: "any but STOPPED", LIVE: "live", POWERED: "with thrust"}
+    return groups.get(modes) or ", ".join(m.name for m in Mode if m in modes)

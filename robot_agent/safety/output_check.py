@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from robot_agent.safety.sent_commands import SentCommands
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Ints, IntTable
 from shoal.mavlink.agent_link import CHANNELS, Telemetry
 
 TOLERANCE_US = 5
@@ -28,8 +29,8 @@ KEPT = 512  # commands: half of them are more than that of the fastest loop
 Integers = NDArray[np.int64]
 
 
-@kernel("b1(i8[::1], i8[:,::1], i8, i8)", part=True)
-def lies_between(echo_us: Integers, told_us: Integers, first: int, last: int) -> bool:
+@kernel(part=True)
+def lies_between(echo_us: Ints, told_us: IntTable, first: int, last: int) -> bool:
     """True if every output (n,) lies within the range of the commands `first` to `last` of `told_us` (commands, n)."""
     for i in range(len(echo_us)):
         low = high = told_us[first, i]
@@ -40,8 +41,8 @@ def lies_between(echo_us: Integers, told_us: Integers, first: int, last: int) ->
     return True
 
 
-@kernel("b1(i8[::1], i8[::1], i8[:,::1], i8, i8, i8)")
-def is_explained(echo_us: Integers, sent_ns: Integers, told_us: Integers, count: int, arrival_ns: int, thrusters: int) -> bool:
+@kernel
+def is_explained(echo_us: Ints, sent_ns: Ints, told_us: IntTable, count: int, arrival_ns: int, thrusters: int) -> bool:
     """True if an echo (n,) that came at `arrival_ns` is one of the first `count` commands, (commands, n) from the instants
     `sent_ns` on, that was in force within LATELY_NS, or lies between two that followed each other. Where one of the first
     `thrusters` outputs leapt, it may lie anywhere between all of them."""

@@ -38,7 +38,7 @@ STRONGER_S = 1.0
 STRONGER = 0.95  # of full thrust: what a current takes. At 0.8 of the robot's speed it takes 0.64
 NEAR_FULL = 0.8  # of full thrust: what is given meanwhile
 GROWING = 0.05  # of the robot's speed: growth of the error
-SLOWEST = 0.05  # of the robot's speed: with less to spare no path can be joined (benchmarks/robots: 0.95 at most)
+SLOWEST = 0.05  # of the robot's speed: with less to spare no path can be joined (tests/flights/cells.py: 0.95 at most)
 LEANING = 0.5  # of the evidence that stops a robot: enough to name a likely cause
 
 
@@ -178,7 +178,7 @@ class PathWatch:
     def _stronger_force(self, step: _Step) -> str:
         """Evidence that a force is stronger than the robot; empty if none is."""
         estimate, off_m, now_ns = step.observation.estimate, step.off_m, step.now_ns
-        learned = estimate.thrust_ratio or 1.0
+        learned = 1.0 if estimate.thrust_ratio is None else estimate.thrust_ratio
         force = math.hypot(estimate.disturbance[0], estimate.disturbance[1]) / (self._thrust_mps2 * learned)
         self._moments.append(_Moment(now_ns, force, abs(step.control.wrench_delivered[0]) / self._thrust_n, off_m))
         while len(self._moments) > 2 and self._moments[1].at_ns <= now_ns - STRONGER_S * NS:

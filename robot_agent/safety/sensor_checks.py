@@ -1,14 +1,18 @@
-"""Checks of the board's sensors against themselves and against the camera. Pure.
+"""Checks of the board's sensors against themselves, against gravity and against the camera. Pure.
 
 A gyroscope that measures nothing, or too little, lets the heading oscillate without an alarm. A pressure sensor that repeats
 itself lets the robot sink to the floor: the controller holds what it reports. So the turn by the gyroscope is compared with
-the turn by the poses, and a depth that is exactly the same for seconds is no measurement where there was noise before.
+the turn by the poses, and a value that is exactly the same for seconds is no measurement where there was noise before.
+Gyroscope and accelerometer are one part: where gravity is not found below, the part is broken or mounted otherwise, and its
+gyroscope measures the turn about another axis; or the robot lies on its side, and its thrust acts otherwise than planned.
 """
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
 
 from shoal.frames import wrap
+from shoal.mavlink.agent_link import STANDARD_GRAVITY_MPS2
 
 NS = 1_000_000_000
 KEPT = 64  # samples of the gyroscope: 1.3 s at 50 Hz, longer than poses are late
@@ -19,6 +23,11 @@ FORGETS_S = 10.0  # time constant: a lasting error of the rate shows as 10 s of 
 APART_RAD = 0.35  # 0.035 rad/s for long, or a turn by 0.35 rad at once; poses are good to 0.01 rad
 APART_S = 0.5  # that it has to last: ten poses; of headings that flip, every other one is right
 NOISE_M = 1e-4  # the least noise of a pressure sensor; the shipped simulator's is 2 mm
+NOISE_RADPS = 1e-4  # of a gyroscope, whose steps are 0.27 mrad/s; an MPU-6050 has 0.9
+NOISE_MPS2 = 1e-3  # of an accelerometer, which the link rounds to 0.01; an MPU-6050 has 0.03
+LEANS_MPS2 = 4.0  # that gravity is off: a robot that leans by 24 degrees; offset and scale of an MPU-6050 make 1
+LEVEL_MPS2 = (0.0, 0.0, -STANDARD_GRAVITY_MPS2)  # of a robot at rest
+GRAVITY_S = 1.0  # time constant; waves, and pushes by other robots, are shorter or below 1 m/s^2
 NOISY = 0.2  # share of the samples that show noise: a reading that leaps once is none
 NOISE_S = 2.0  # time constant of that share
 STUCK_S = 3.0  # 60 samples at 20 Hz, exactly the same
@@ -77,10 +86,44 @@ class GyroscopeCheck:
         return self._turned_rad[k] + share * (self._turned_rad[k + 1] - self._turned_rad[k])
 
 
+class GravityCheck:
+    """Comparison of the specific force with gravity, and detection of one that repeats itself on all axes."""
+
+    def __init__(self) -> None:
+        self._at_ns = 0
+        self._off_mps2 = (0.0, 0.0, 0.0)  # force less gravity's, smoothed
+        self._axes = [StuckSensorCheck(NOISE_MPS2) for _ in range(3)]
+
+    def note_sample(self, force_mps2: Sequence[float], at_ns: int) -> None:
+        """Take in a sample. One that was given before is ignored."""
+        if at_ns <= self._at_ns:
+            return
+        share = -math.expm1(-min((at_ns - self._at_ns) / NS, LONGEST_S) / GRAVITY_S)
+        self._at_ns = at_ns
+        for axis, value in zip(self._axes, force_mps2, strict=True):
+            axis.note_sample(value, at_ns)
+        off = [force - level for force, level in zip(force_mps2, LEVEL_MPS2, strict=True)]
+        size = math.hypot(*off)
+        scale = min(1.0, 2.0 * LEANS_MPS2 / size) if size > 0.0 else 1.0  # one that leaps once is no doubt
+        x, y, z = (old + share * (scale * new - old) for old, new in zip(self._off_mps2, off, strict=True))
+        self._off_mps2 = x, y, z
+
+    @property
+    def doubt(self) -> str:
+        """The reason to doubt the accelerometer; empty if there is none."""
+        off_mps2, same_s = math.hypot(*self._off_mps2), min(axis.same_s for axis in self._axes)
+        if same_s > 0.0:
+            return f"exactly the same for {same_s:.1f} s"
+        if off_mps2 > LEANS_MPS2:
+            return f"off gravity by {off_mps2:.0f} m/s² or more: it is wrong or turned, or the robot leans"
+        return ""
+
+
 class StuckSensorCheck:
     """Detection of a reading that repeats itself exactly where it had noise before. A reading without noise is not judged."""
 
-    def __init__(self) -> None:
+    def __init__(self, least_noise: float) -> None:
+        self._least_noise = least_noise
         self.same_s = 0.0  # for how long it has repeated itself, from STUCK_S on; else 0
         self._at_ns = self._since_ns = 0  # of the last sample, and of the first one that is equal to it
         self._last = self._change = math.nan  # the last sample, and its change from the one before
@@ -92,7 +135,7 @@ class StuckSensorCheck:
             return
         elapsed_s, change = (at_ns - self._at_ns) / NS, value - self._last
         self._at_ns, self._last = at_ns, value
-        is_noise = abs(change - self._change) > NOISE_M
+        is_noise = abs(change - self._change) > self._least_noise
         self._noise += (is_noise - self._noise) * -math.expm1(-min(elapsed_s, LONGEST_S) / NOISE_S)
         self._change = change
         if change != 0.0 or elapsed_s > LONGEST_S:

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from shoal.config.vehicle import Thruster, Vehicle
 from shoal.frames import Array
@@ -38,16 +38,9 @@ class SentCommands:
         self.at_ns[self.count - 1], self.commands[self.count - 1] = at_ns, command
 
 
-@kernel("void(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1])")
+@kernel
 def follow_commands(
-    acts_ns: NDArray[np.int64],
-    commands: Array,
-    count: int,
-    lag_s: float,
-    from_ns: int,
-    to_ns: int,
-    acting: Array,
-    impulse: Array,
+    acts_ns: Ints, commands: Table, count: int, lag_s: float, from_ns: int, to_ns: int, acting: Floats, impulse: Floats
 ) -> None:
     """Let the forces or moments `acting` (columns,) follow the first `count` of the `commands` (n, columns), each from
     its instant `acts_ns` on and zero before the first, with the thrusters' lag. `impulse` (columns,) is their integral."""

@@ -176,9 +176,9 @@ class _Members:
 
 
 def _expel_unlisted(session: zenoh.Session, gate: RouterGate, listed: frozenset[str]) -> None:
-    """Close each connection whose certificate the authority made and whose name counts no more, or has too many already: else
-    one revoked certificate could fill the router. A thread of its own: what the log says goes out as an event, and Zenoh's
-    threads are not to wait for themselves."""
+    """Close connections whose certificate is revoked, or whose name has too many already: TLS lets them in, and one such
+    certificate could fill the router. In a thread of its own, because a warning goes out as an event, for which a thread of
+    Zenoh would wait on itself."""
     came = session.info.declare_link_events_listener(zenoh.handlers.FifoChannel(UNCOLLECTED))
 
     def follow() -> None:

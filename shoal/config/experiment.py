@@ -18,9 +18,9 @@ import tomli_w
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from shoal.config.controller import ControllerConfig, Safety
-from shoal.config.fault_injection import KINDS, fault_table
+from shoal.config.fault_injection import KINDS, fault_table, no_target
 from shoal.config.formation_shapes import SHAPES, shape_nodes
-from shoal.config.loader import Section, apply_setting, check, read_toml
+from shoal.config.loader import Section, apply_setting, check, parse_toml, read_toml
 from shoal.config.mission import MissionConfig
 from shoal.config.perception import LANDMARKS_NEEDED, UNSEEING, Camera, CameraFile, Landmark, Localizer, NamedCamera
 from shoal.config.recording import Recording
@@ -135,6 +135,10 @@ class Experiment(Section):
         if self.formation.leader is not None and self.formation.leader not in ids:
             allowed = ", ".join(map(str, ids))
             raise ValueError(f"formation.leader = {self.formation.leader}: no such robot (allowed: {allowed})")
+        for change in self.formation.changes:
+            if change.order and (sorted(change.order) != sorted(ids) or any(robot.path is not None for robot in self.robots)):
+                allowed = f"each of {', '.join(map(str, sorted(ids)))} once, and no robot with a path of its own"
+                raise ValueError(f"formation.changes: order = {list(change.order)}: (allowed: {allowed})")
         hz = self.sim.plant.disturbance_hz
         if isinstance(hz, tuple) and len(hz) != len(ids):
             raise ValueError(f"sim.plant.disturbance_hz: {len(hz)} values for {len(ids)} robots (allowed: one, or one each)")
@@ -210,12 +214,9 @@ class Experiment(Section):
         localizers = ("localizer", *(f"localizer-{name}" for name in self.camera_names))
         processes = ("groundstation", "sim-bridge", *localizers, *(f"agent-{robot}" for robot in self.robot_ids))
         for i, fault in enumerate(self.sim.faults):
-            broken, allowed = fault.broken, ", ".join(map(str, self.robot_ids))
-            if broken.robot and broken.robot not in self.robot_ids:
-                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no robot {broken.robot} (allowed: {allowed})")
-            if broken.camera and broken.camera not in self.camera_names:
-                cameras = ", ".join(self.camera_names) or "no name: there is one camera"
-                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no camera {broken.camera!r} (allowed: {cameras})")
+            broken = fault.broken
+            if reason := no_target(broken, self.robot_ids, self.camera_names):
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: {reason}")
             if broken.process and broken.process not in processes:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no such process (allowed: {', '.join(processes)})")
         return self
@@ -358,6 +359,55 @@ class Experiment(Section):
         """SHA-256 (hex) over every value of the experiment and its vehicle, defaults included."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def with_flight(experiment: Experiment, text: str) -> Experiment:
+    """The experiment with the flight of another one, given as TOML: path, places in the formation, and duration. Robots, pool,
+    vehicle, control and limits stay, for programs run that have them. Raises ConfigError."""
+    given = parse_toml(text, "the other experiment")
+    name, formation = given.get("name", experiment.name), given.get("formation", {})
+    if "path" not in given:
+        raise ConfigError(f"{name}: path: missing, and it has no default")
+    table = experiment.model_dump(mode="json", exclude_none=True)
+    if isinstance(formation, dict):
+        own = experiment.formation.model_dump(mode="json", exclude_none=True)
+        stays = {key: own.get(key) for key in ("kind", "leader")}
+        other = [key for key, value in stays.items() if formation.get(key, value) != value]
+        if other:
+            raise ConfigError(
+                f"{name}: formation.{other[0]} = {formation[other[0]]!r}: robots that run have {stays[other[0]]!r}"
+            )
+        formation = formation | {key: value for key, value in stays.items() if value is not None}
+    if "robots" in given or (isinstance(formation, dict) and "shape" in formation):
+        table["robots"] = _with_other_places(name, table["robots"], given.get("robots"))
+    table |= {key: given[key] for key in ("name", "path", "duration_s") if key in given} | {"formation": formation}
+    _insert_nodes(table)
+    return check(Experiment, table, str(name))
+
+
+def dump_flight(experiment: Experiment) -> str:
+    """The flight of an experiment as TOML, as `with_flight` takes it: small enough for a message."""
+    table = experiment.model_dump(
+        mode="json", exclude_none=True, include={"name", "duration_s", "path", "formation", "robots"}
+    )
+    kept = ("id", "node_m", "path")
+    table["robots"] = [{key: robot[key] for key in kept if key in robot} for robot in table["robots"]]
+    return tomli_w.dumps(table)
+
+
+def _with_other_places(name: Any, robots: list[dict[str, Any]], others: Any) -> list[dict[str, Any]]:
+    """Robots with the places, and paths of their own, of those with the same ids in another experiment; without any if it
+    names no robots."""
+    own = [{key: value for key, value in robot.items() if key not in ("node_m", "path")} for robot in robots]
+    if others is None:
+        return own
+    tables = [other for other in others if isinstance(other, dict)] if isinstance(others, list) else []
+    by_id = {other["id"]: other for other in tables if isinstance(other.get("id"), int)}
+    ids = [robot["id"] for robot in own]
+    if sorted(by_id) != sorted(ids):
+        there, here = (", ".join(map(str, each)) or "none" for each in (by_id, ids))
+        raise ConfigError(f"{name}: it is for robots {there}; here are {here}")
+    return [robot | {key: value for key, value in by_id[robot["id"]].items() if key in ("node_m", "path")} for robot in own]
 
 
 def dump_experiment(experiment: Experiment) -> str:

@@ -7,7 +7,7 @@ what = "thruster 2/3 dead"   # the same as --fault "t=20 for=5 thruster 2/3 dead
 """
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Self
@@ -70,6 +70,9 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
         {
             "heading": Effect("an error besides noise and bias", "error in rad", 0.5, -3.2, 3.2),
             "gyro": Effect("the same for the yaw rate", "error in rad/s", 0.1, -10.0, 10.0),
+            "scaled": Effect("the yaw rate is multiplied: 0 is dead, -1 reversed", "by how much", 0.0, -10.0, 10.0),
+            "stuck": Effect("yaw rate and acceleration stay at what they were"),
+            "turned": Effect("it is mounted otherwise, turned about the axis ahead", "rad", 1.6, -3.2, 3.2),
         },
     ),
     "battery": (
@@ -94,6 +97,7 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
         {"step": Effect("the program's wall clock jumps, not its monotonic clock", "by how many seconds", 3600.0, -1e6, 1e6)},
     ),
 }
+SEEN = frozenset({"camera", "marker"})  # that only a camera tells
 OF_PROCESSES = ("process", "disk", "clock")  # by the wall clock, and from outside
 _TARGETS = {
     "": "",
@@ -151,17 +155,30 @@ def read_what(text: str) -> Break:
 BY_HAND = "by hand: "  # begins the log's line about a fault that a person made, written as --fault takes it
 
 
-def read_request(text: str, robots: Collection[int]) -> tuple[str, float]:
-    """Read a person's `thruster 2/3 dead for 5`: what breaks, and for how long in s (0: for ever); of `repair` nothing. Raises
-    ValueError that says what is allowed."""
+def no_target(broken: Break, robots: Collection[int], cameras: Sequence[str]) -> str:
+    """Reason for which nothing here can break so: no such robot, or none of several `cameras`; empty if it can."""
+    if broken.robot and broken.robot not in robots:
+        return f"no robot {broken.robot} (allowed: {', '.join(map(str, robots))})"
+    if broken.camera and broken.camera not in cameras:
+        return f"no camera {broken.camera!r} (allowed: {', '.join(cameras) or 'no name: there is one camera'})"
+    return ""
+
+
+def read_request(
+    text: str, robots: Collection[int], cameras: Sequence[str] = (), uses_camera: bool = True
+) -> tuple[str, float]:
+    """Read a person's `thruster 2/3 dead for 5`: what breaks, and for how long in s (0: for ever); of `repair` nothing.
+    `cameras`: names of several; `uses_camera` False: there is none. Raises ValueError that says what is allowed."""
     what, _, during = text.strip().partition(" for ")
     if what == "repair":
         return "", 0.0
     broken = read_what(what)
     if broken.kind in OF_PROCESSES or (broken.kind, broken.effect) == ("water", "low"):
         raise ValueError(f"{what}: only by the timeline, with --fault before the run")
-    if broken.robot and broken.robot not in robots:
-        raise ValueError(f"{what}: no robot {broken.robot} (allowed: {', '.join(map(str, robots))})")
+    if reason := no_target(broken, robots, cameras):
+        raise ValueError(f"{what}: {reason}")
+    if broken.kind in SEEN and not uses_camera:
+        raise ValueError(f"{what}: no camera sees it in this run (localizer.uses_camera)")
     for_s = _seconds(during) if during else 0.0
     return what, for_s
 

@@ -32,16 +32,23 @@ def read_toml(path: Path) -> dict[str, Any]:
     larger, or has longer keys, than any of ours: it may take all memory. A byte order mark, as some editors write it, is
     skipped."""
     try:
-        data = read_regular(path, MOST_BYTES)
-        return _parsed(data.decode("utf-8-sig").replace("\r\n", "\n"))
+        return parse_toml(read_regular(path, MOST_BYTES).decode("utf-8-sig"), str(path))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Parse TOML that came from `source`. Raises ConfigError as `read_toml` does."""
+    if len(text) > MOST_BYTES:
+        raise ConfigError(f"{source}: cannot be read: larger than {MOST_BYTES} bytes")
+    try:
+        return _parsed(text.replace("\r\n", "\n"))
     except (ValueError, RecursionError) as error:  # beside its own error the parser lets these out: huge numbers, deep nesting
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+        raise ConfigError(f"{source}: not valid TOML: {error}") from None
 
 
 def _parsed(text: str) -> dict[str, Any]:

@@ -56,10 +56,10 @@ class Circle(Section):
 
 
 class Waypoints(Section):
-    """A natural cubic spline through waypoints (equations 12, 13), flown at constant speed."""
+    """A way through waypoints: a natural cubic spline (equations 12, 13) flown at constant speed, or straight sides."""
 
     kind: Literal["waypoints"]
-    """A smooth curve through waypoints."""
+    """A way through waypoints."""
     points_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]
     """Waypoints x, y of the formation's centre, in order."""
     speed_mps: Positive
@@ -76,11 +76,17 @@ class Waypoints(Section):
     """Slow down where a robot would exceed its limits, instead of refusing the plan."""
     stop: bool = False
     """Stop at the last waypoint, and stay. False: the run must end before the path does."""
+    corner: Literal["smooth", "round", "stop"] = "smooth"
+    """One smooth curve through all waypoints; straight sides with round corners; or a stop and a turn at each corner."""
+    corner_m: Positive = 0.5
+    """Distance before a round corner at which the path leaves its side; less where sides are shorter than twice that."""
 
     @model_validator(mode="after")
     def _starts_on_the_path(self) -> Self:
         if self.start_index >= len(self.points_m):
             raise ValueError(f"start_index = {self.start_index}: no such waypoint (allowed: 0 to {len(self.points_m) - 1})")
+        if self.corner == "stop" and self.dive_mps != 0.0:
+            raise ValueError(f"dive_mps = {self.dive_mps:g}: a path that stops at its corners is level (allowed: 0)")
         if len(self.points_m) * self.laps > MOST_WAYPOINTS:
             raise ValueError(f"laps = {self.laps}: {len(self.points_m)} waypoints so often are more than {MOST_WAYPOINTS}")
         return self
@@ -130,27 +136,32 @@ class Change(Section):
     """Factor on the nodes' offsets; without a shape, on those that they have then."""
     turn_rad: float = 0.0
     """Turn of the nodes about the centre; without a shape, from the direction that they have then."""
+    order: Annotated[tuple[int, ...], Field(examples=[(2, 1)])] = ()
+    """Ids of the robots in the order of the shape's places, or of their own. Left out: the shortest ways, or no change."""
 
 
-FORM_USAGE = "[SHAPE [SPACING_M]] [turn DEGREES] [scale FACTOR] [over SECONDS]"
+FORM_USAGE = "[SHAPE [SPACING_M]] [turn DEGREES] [scale FACTOR] [order ID,ID,...] [over SECONDS]"
 PACES_S = (8.0, 14.0, 25.0, 45.0)  # of a change whose duration nobody gave; the first that can be flown
 
 
 def read_form(text: str, at_s: float) -> tuple[Change, ...]:
     """The change of form in `line 0.8 turn 30`, at each pace that may be tried. Raises ValueError for other text."""
     words = text.split()
-    shapes, values = SHAPES, dict[str, float]()
+    shapes, values, order = SHAPES, dict[str, float](), tuple[int, ...]()
     shape = next((each for each in shapes if words and words[0] == each), None)
     if shape is not None:
         words.pop(0)
-        if words and words[0] not in ("turn", "scale", "over"):
+        if words and words[0] not in ("turn", "scale", "order", "over"):
             words.insert(0, "spacing")
-    names = ("spacing", "turn", "scale", "over") if shape is not None else ("turn", "scale", "over")
+    names = ("spacing", "turn", "scale", "order", "over") if shape is not None else ("turn", "scale", "order", "over")
     for name, number in zip(words[::2], [*words[1::2], ""], strict=False):
-        if name not in names or name in values:
+        if name not in names or name in values or (name == "order" and order):
             raise ValueError(f"{name!r}: must read {FORM_USAGE}, with a shape of {', '.join(shapes)}")
-        values[name] = _form_number(name, number)
-    if shape is None and not values.keys() - {"over"}:
+        if name == "order":
+            order = _form_order(number)
+        else:
+            values[name] = _form_number(name, number)
+    if shape is None and not order and not values.keys() - {"over"}:
         raise ValueError(f"which form? It reads {FORM_USAGE}, with a shape of {', '.join(shapes)}")
     change = Change(
         at_s=at_s,
@@ -158,9 +169,17 @@ def read_form(text: str, at_s: float) -> tuple[Change, ...]:
         spacing_m=values.get("spacing", 0.8),
         scale=values.get("scale", 1.0),
         turn_rad=math.radians(values.get("turn", 0.0)),
+        order=order,
     )
     paces = (values["over"],) if "over" in values else PACES_S
     return tuple(change.model_copy(update={"over_s": over_s}) for over_s in paces)
+
+
+def _form_order(text: str) -> tuple[int, ...]:
+    ids = tuple(int(word) if word.isascii() and word.isdigit() and len(word) < 4 else 0 for word in text.split(","))
+    if 0 in ids or len(set(ids)) < len(ids):
+        raise ValueError(f"order {text}: must be the robots' numbers, each once, with commas: 2,1,3")
+    return ids
 
 
 def _form_number(name: str, text: str) -> float:

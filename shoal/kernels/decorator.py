@@ -15,12 +15,14 @@ kernels, of any module, and raises nothing. `NUMBA_DISABLE_JIT=1` runs all of th
 import functools
 import os
 import pickle
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, cast, get_type_hints, overload
 
 import llvmlite
 import numba
 from numba.core import caching, compiler, config, serialize, types
+from numba.core.runtime.nrt import rtsys
 from numba.extending import typeof_impl
 
 from shoal.kernels import build as kernel_build
@@ -32,22 +34,23 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
 VERSIONS = f"numba {numba.__version__}, llvmlite {llvmlite.__version__}"
-CHECK_ALL = os.environ.get("SHOAL_CHECK_KERNELS") == "1"  # every call, not only the first: tests/conftest.py sets it
+CHECK_ALL = os.environ.get("SHOAL_CHECK_KERNELS") == "1"  # more than the first call: tests/conftest.py sets it
+CHECK_EVERY = 16  # calls: of these one is checked whatever its line has passed before; all of them cost a third of a flight
 
 stamps: dict[object, str] = {}  # of each kernel, by its Python function
 listeners: list[Callable[[str, bool], None]] = []  # called when a kernel is ready: with its file ("" for a part), if compiled
 
 
 @overload
-def kernel(form: F) -> F: ...
+def kernel(function: F) -> F: ...
 
 
 @overload
-def kernel(form: str | None = None, inline: bool = False, part: bool = False) -> Callable[[F], F]: ...
+def kernel(*, inline: bool = False, part: bool = False) -> Callable[[F], F]: ...
 
 
-def kernel(form: Any = None, inline: bool = False, part: bool = False) -> Any:
-    """Compile a function for the types of its annotations. (The older form names them: ``@kernel("void(f8[:,::1], f8)")``.)
+def kernel(function: Any = None, *, inline: bool = False, part: bool = False) -> Any:
+    """Compile a function for the types of its annotations.
 
     Compilation happens when the module is imported, never at a call; machine code is kept on disk (`shoal/kernels/cache.py`).
     The first kernel that is missing there has all kernels of its package compiled (`shoal/kernels/build.py`).
@@ -57,16 +60,16 @@ def kernel(form: Any = None, inline: bool = False, part: bool = False) -> Any:
     A kernel that is only a `part` of others is compiled with them, for its signature, and neither kept nor loaded by itself:
     half of a robot's kernels are, and each would take up to 3 MB more.
     """
-    if callable(form):
-        return _compiled(form, None, inline, part)
-    return lambda function: _compiled(function, form, inline, part)
+    if function is None:
+        return lambda decorated: _compiled(decorated, inline, part)
+    return _compiled(function, inline, part)
 
 
-def _compiled(function: F, named: str | None, inline: bool, part: bool) -> F:
+def _compiled(function: F, inline: bool, part: bool) -> F:
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    signature = named or signature_of(function)
-    compiled_for = named or ", ".join(map(record_content, get_type_hints(function, include_extras=True).values()))
+    signature = signature_of(function)
+    compiled_for = ", ".join(map(record_content, get_type_hints(function, include_extras=True).values()))
     stamps[function] = stamp_of(function, f"{compiled_for} {inline}", stamps)
     dispatcher: Any = numba.njit(forceinline=inline, **OPTIONS)(function)
     file = KernelFile(function)
@@ -78,7 +81,7 @@ def _compiled(function: F, named: str | None, inline: bool, part: bool) -> F:
         dispatcher.disable_compile()
     for listener in listeners:
         listener(file.name, file.was_missing)
-    return cast(F, dispatcher if named else Kernel(function, dispatcher, signature))
+    return cast(F, Kernel(function, dispatcher, signature))
 
 
 class Kernel:
@@ -93,13 +96,27 @@ class Kernel:
         self._entry: Callable[..., Any] | None = None
         self._is_checked = False
         self._checked: dict[int, tuple[Any, ...]] = {}  # the last record in each place
+        self._passed: set[tuple[Any, ...]] = set()  # calling lines, each with the classes of its arguments
+        self._calls = 0
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the machine code."""
         if not self._is_checked:
-            self.check(arguments)
-            self._is_checked = not CHECK_ALL
+            if CHECK_ALL:
+                self._check_if_unlike_others(arguments)
+            else:
+                self.check(arguments)
+                self._is_checked = True
         return self._entry(*arguments)  # type: ignore[misc]
+
+    def _check_if_unlike_others(self, arguments: tuple[Any, ...]) -> None:
+        """Check the first call from a place in the code with arguments of these classes, and one call of many."""
+        caller = sys._getframe(2)
+        call = (caller.f_code, caller.f_lasti, *map(type, arguments))
+        self._calls += 1
+        if call not in self._passed or not self._calls % CHECK_EVERY:
+            self.check(arguments)
+            self._passed.add(call)
 
     def check(self, arguments: tuple[Any, ...]) -> None:
         """Raises TypeError unless the arguments are of the types that the kernel is compiled for."""
@@ -150,7 +167,7 @@ class KernelFile(caching.NullCache):
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the compiled kernel, or None if it has to be compiled here."""
-        target.refresh()
+        rtsys.initialize(target)  # names that machine code refers to; target.refresh() would also import the compiler's parts
         built_for = f"{stamps[self._function]} {VERSIONS} {target.codegen().magic_tuple()}"
         self.name = kernel_cache.file_name(self._full_name, built_for)
         loaded = self._load(target)

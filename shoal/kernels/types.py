@@ -24,6 +24,10 @@ Floats = Annotated[NDArray[np.float64], 1]
 Table = Annotated[NDArray[np.float64], 2]
 Cube = Annotated[NDArray[np.float64], 3]
 Ints = Annotated[NDArray[np.int64], 1]
+IntTable = Annotated[NDArray[np.int64], 2]
+SingleTable = Annotated[NDArray[np.float32], 2]
+SingleCube = Annotated[NDArray[np.float32], 3]
+Image = Annotated[NDArray[np.uint8], 3]
 Bools = Annotated[NDArray[np.bool_], 1]
 Complexes = Annotated[NDArray[np.complex128], 1]  # x + iy
 

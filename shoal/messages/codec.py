@@ -22,7 +22,7 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
 
 from shoal.messages.messages import Command, CommandTaken, Event, Frame, Message, Picture, Preview, Trajectory, Video
-from shoal.messages.schema import message_classes, nested_message
+from shoal.messages.schema import may_be_absent, message_classes, nested_message, present_type
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
@@ -101,7 +101,7 @@ def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], type | None
     whether that may be absent."""
     hints = get_type_hints(cls)
     return tuple(
-        (f.name, _reader(hints[f.name], f.metadata), nested, nested is not hints[f.name])
+        (f.name, _reader(hints[f.name], f.metadata), nested, may_be_absent(hints[f.name]))
         for f in dataclasses.fields(cls)
         for nested in (nested_message(hints[f.name]),)
     )
@@ -131,7 +131,7 @@ def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
         return _array_reader((-1,))  # `_shape_wrenches` gives it its rows
     if "shape" in metadata:
         return _array_reader(metadata["shape"])
-    if hint is float:
+    if present_type(hint) is float:
         return _read_positive if metadata.get("positive") else _read_float
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return lambda value, name: _read_enum(value, name, hint)
@@ -179,6 +179,7 @@ def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
 
 
 def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
+    """Function that checks a repeated field's numbers and gives them a shape; -1 is any length."""
     row, any_length = math.prod(n for n in shape if n != -1), -1 in shape
 
     def read(value: Any, name: str) -> Any:
@@ -201,9 +202,9 @@ def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
 def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
     """Build a dataclass from its protobuf message. Raises _Invalid for a field that breaks its rules."""
     values: dict[str, Any] = {}
-    for name, read, nested, may_be_absent in _fields(cast(Any, cls)):
-        absent = nested is not None and not message.HasField(name)
-        if absent and not may_be_absent:
+    for name, read, nested, optional in _fields(cast(Any, cls)):
+        absent = (optional or nested is not None) and not message.HasField(name)
+        if absent and not optional:
             raise _Invalid(prefix + name, "is missing")
         values[name] = getattr(cls, name) if absent else read(getattr(message, name), prefix + name)
     first, *others = _growing(cast(Any, cls)) or ("",)
@@ -250,9 +251,11 @@ def _to_protobuf(message: Any, target: Any) -> Any:
         elif isinstance(value, tuple):
             texts = value and type(value[0]) is str
             getattr(target, name).extend([_cut(text, LONGEST_TEXT) for text in value] if texts else value)
+        elif value is None:
+            pass  # absent
         elif not is_message:
             setattr(target, name, value)
-        elif value is not None:
+        else:
             _to_protobuf(value, getattr(target, name))
     return target
 

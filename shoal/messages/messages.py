@@ -138,6 +138,7 @@ class Order(IntEnum):
     BACK_IN = 23  # To the station only: it is in the water again.
     FORMATION = 24  # To the station only: the formation takes another form.
     FAULT = 25  # To the station only, in simulation: something breaks.
+    PATH = 26  # To the station only: the formation flies the path of another experiment.
 
 
 class Progress(IntEnum):
@@ -282,8 +283,10 @@ class Estimate:
     nu: Annotated[Array, 2, Label("Velocity", parts=VELOCITY)] = array(4)  # Velocity over ground.
     disturbance: Annotated[Array, 3, Label("Disturbance", parts=ACCELERATION, prefix="disturbance_")] = array(4)
     # Acceleration that the nominal model in still water does not explain.
-    drag_ratio: Annotated[float, 4, Label("Learned drag per mass, × the file's")] = 0.0  # 0 if it is not learned.
-    thrust_ratio: Annotated[float, 5, Label("Learned thrust per mass, × the file's")] = 0.0  # 0 if it is not learned.
+    drag_ratio: Annotated[float | None, 4, Label("Learned drag per mass, × the file's")] = None  # None if it is not learned.
+    thrust_ratio: Annotated[float | None, 5, Label("Learned thrust per mass, × the file's")] = (
+        None  # None if it is not learned.
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,11 +314,11 @@ class Control:
 class StepTiming:
     """Ages of a step's inputs, and the time that it took."""
 
-    pose_age_ms: Annotated[float, 1, Label("Age of the pose", "ms")] = 0.0  # 1e6: there was none.
-    exposure_to_pwm_ms: Annotated[float, 2, Label("Exposure to PWM", "ms")] = 0.0
+    pose_age_ms: Annotated[float | None, 1, Label("Age of the pose", "ms")] = None  # None until there was one.
+    exposure_to_pwm_ms: Annotated[float | None, 2, Label("Exposure to PWM", "ms")] = None  # None until there was a pose.
     step_us: Annotated[float, 3, Label("Control step", "us")] = 0.0  # Duration of the whole control step.
     missed_deadlines: Annotated[Uint32, 4, Label("Missed deadlines")] = 0
-    board_age_ms: Annotated[float, 5, Label("Age of the board's word", "ms")] = 0.0  # 1e6: it was never heard.
+    board_age_ms: Annotated[float | None, 5, Label("Age of the board's word", "ms")] = None  # None until it was heard.
     board_round_trip_ms: Annotated[float, 6, Label("Round trip to the board", "ms")] = 0.0
     board_clock_offset_s: Annotated[float, 7] = 0.0  # The board's clock minus the robot's clock.
 
@@ -426,10 +429,10 @@ class Command:
     tuning: Annotated[Tuning | None, 10] = None
     recipient: Annotated[Uint64, 11] = 0  # Session of the process that it is for. A restarted process refuses it.
     via: Annotated[Array, 12] = array(-1, 2)  # GO: places x, y for the centre of the formation.
-    start_ns: Annotated[Int64, 13] = 0  # START, RESUME: instant on the station's clock; 0: start_in_s after the stamp.
+    start_ns: Annotated[Int64, 13] = 0  # START, RESUME: instant on the station's clock.
     about: Annotated[Uint32, 15] = 0  # To the station, with NONE: number of the request whose outcome is asked for.
     drive: Annotated[DriveVelocity | None, 16] = None  # DRIVE: the velocity.
-    text: Annotated[str, 17] = ""  # FORMATION: the form, `line 0.8 turn 30`. FAULT: what breaks, `marker 2 lost for 5`.
+    text: Annotated[str, 17] = ""  # FORMATION: the form, `line 0.8`. FAULT: what breaks. PATH: the other experiment as TOML.
 
 
 @dataclass(frozen=True, eq=False)

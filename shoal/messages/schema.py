@@ -37,6 +37,16 @@ def nested_message(hint: Any) -> type | None:
     return None
 
 
+def may_be_absent(hint: Any) -> bool:
+    """Say whether a field of this type may be None."""
+    return types.NoneType in get_args(hint)
+
+
+def present_type(hint: Any) -> Any:
+    """The type of a field's value where there is one."""
+    return next(part for part in get_args(hint) if part is not types.NoneType) if may_be_absent(hint) else hint
+
+
 def enum_prefix(choices: type[IntEnum]) -> str:
     """Prefix of the names of an enum's values in protobuf, where they share one space: `CAMERA_HEALTH_`."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", choices.__name__).upper() + "_"
@@ -53,11 +63,14 @@ def _width(hint: Any) -> tuple[Any, Any]:
 def _field(package: str, field: dataclasses.Field[Any], hint: Any) -> tuple[FieldDescriptorProto, type[IntEnum] | None]:
     """The description of one field, and the enum that it refers to."""
     kind, simple = _width(hint)
+    nested = nested_message(kind)
+    optional = nested is None and may_be_absent(kind)
+    if optional:
+        kind = simple = present_type(kind)
     numbers = [note for note in get_args(hint)[1:] if isinstance(note, int)] if get_origin(hint) is Annotated else []
     if len(numbers) != 1:
         raise TypeError(f"{field.name}: {hint} states no field number")
     described = FieldDescriptorProto(name=field.name, number=numbers[0], label=FieldDescriptorProto.LABEL_OPTIONAL)
-    nested = nested_message(kind)
     if "shape" in field.metadata:
         described.type, described.label = FieldDescriptorProto.TYPE_DOUBLE, FieldDescriptorProto.LABEL_REPEATED
     elif get_origin(kind) is tuple:
@@ -69,7 +82,7 @@ def _field(package: str, field: dataclasses.Field[Any], hint: Any) -> tuple[Fiel
         described.type, described.type_name = FieldDescriptorProto.TYPE_ENUM, f".{package}.{kind.__name__}"
         return described, kind
     else:
-        described.type = SIMPLE[simple]
+        described.type, described.proto3_optional = SIMPLE[simple], optional
     return described, None
 
 
@@ -88,6 +101,9 @@ def file_descriptor(package: str, classes: Sequence[type]) -> FileDescriptorProt
         message = file.message_type.add(name=cls.__name__)
         for field, hint in fields(cls):
             described, choices = _field(package, field, hint)
+            if described.proto3_optional:  # whether it is there travels as a choice of one
+                described.oneof_index = len(message.oneof_decl)
+                message.oneof_decl.add(name=f"_{field.name}")
             message.field.append(described)
             if choices is not None:
                 enums[choices] = None

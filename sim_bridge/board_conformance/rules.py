@@ -245,17 +245,20 @@ def _refused(probe: BoardProbe, result: int | None) -> Measured:
 
 
 def _arming_without(probe: BoardProbe) -> Measured:
+    """Ask for arming when no pulses have come: it must be refused."""
     probe.listen(0.6)
     return _refused(probe, probe.ask_arm())
 
 
 def _arming_late(probe: BoardProbe) -> Measured:
+    """Ask for arming 0.4 s after the last pulses: it must be refused."""
     probe.stream(probe.pulses, 0.3)
     probe.listen(0.4)
     return _refused(probe, probe.ask_arm())
 
 
 def _arming_forced(probe: BoardProbe) -> Measured:
+    """Ask for arming by force while pulses come: the board must stay disarmed."""
     probe.stream(probe.pulses, 0.2)
     probe.wire.send(probe.forced_arming())
     probe.stream(probe.pulses, 0.4)

@@ -134,8 +134,8 @@ class DirectPlant:
     def _apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
         changes = self._faults.at(self._flown_s)
-        for sensors, error in zip(self._sensors, self._faults.imu_error.tolist() if changes else (), strict=False):
-            sensors.error = (error[0], error[1])
+        for sensors, faults in zip(self._sensors, self._faults.imu if changes else (), strict=False):
+            sensors.faults = faults
         return changes
 
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
@@ -148,6 +148,7 @@ class DirectPlant:
             heading_rad=reading.heading_rad,
             yaw_rate_radps=reading.heading_rate_radps,
             tilt=reading.tilt,
+            acceleration_mps2=reading.acceleration_mps2,
             depth_m=reading.depth_m,
             battery_v=self._rest_v[i],
             armed=self._armed[i],

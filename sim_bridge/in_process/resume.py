@@ -6,6 +6,7 @@ the water's state (gusts, waves, noise) begins by the seed. Without the truth, a
 their own estimates were.
 """
 
+import math
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -146,19 +147,20 @@ def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str])
 
 def faults_by_hand(run: Path) -> list[str]:
     """The faults that a person made in a recorded run, as --fault takes them, those that such a flight can have."""
-    events: dict[str, tuple[float, str]] = {}
+    faults: list[tuple[float, float, str]] = []  # instant, duration, what
     for entry in read_log(run / "run.mcap", (topics.EVENT,)).of(topics.EVENT, Event):
         line = entry.message.message
         for part in line.removeprefix(BY_HAND).split("; ") if line.startswith(BY_HAND) else ():
-            if part.startswith("t="):
-                words = part.split()
-                what = " ".join(word for word in words[1:] if not word.startswith("for="))
-                events[part] = float(words[0].removeprefix("t=")), what
-            elif (mended := re.fullmatch(r"mended at ([\d.]+) s: (.+)", part)) is not None:
-                for text, (at_s, what) in list(events.items()):
-                    if what == mended[2] and "for=" not in text:
-                        events[f"t={at_s:.3f} for={max(float(mended[1]) - at_s, 0.001):.3f} {what}"] = events.pop(text)
-    return [text for text, (_, what) in events.items() if read_what(what).kind in fault_schedule.NUMERIC]
+            if (made := re.fullmatch(r"t=(\S+)(?: for=(\S+))? (.+)", part)) is not None:
+                faults.append((float(made[1]), float(made[2] or math.inf), made[3]))
+            elif (mended := re.fullmatch(r"mended at (\S+) s: (.+)", part)) is not None:
+                at_s = float(mended[1])
+                faults = [
+                    (begin_s, min(for_s, max(at_s - begin_s, 0.001)) if what == mended[2] else for_s, what)
+                    for begin_s, for_s, what in faults
+                ]
+    numeric = [fault for fault in faults if read_what(fault[2]).kind in fault_schedule.NUMERIC]
+    return [f"t={at_s:.3f}{f' for={for_s:.10g}' if math.isfinite(for_s) else ''} {what}" for at_s, for_s, what in numeric]
 
 
 def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:

@@ -117,7 +117,7 @@ class PoolNode:
         become neutral or thrusting."""
         while self._requests:
             request = self._requests.popleft()
-            log.info("%s%s", BY_HAND, world.faults.add(request.what, request.for_s, world.flown_s) or "nothing to mend")
+            log.info("%s%s", BY_HAND, world.break_by_hand(request.what, request.for_s) or "nothing to mend")
         for text in world.apply_faults():
             log.info(text)
         sent = world.step(until_ns)

@@ -8,6 +8,7 @@ import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.frames import Array, wrap
+from sim_bridge.fault_schedule import ImuFaults
 from sim_bridge.plant.currents_waves import GRAVITY_MPS2, SurfaceWave
 from sim_bridge.plant.random_streams import Stream, generator
 
@@ -52,7 +53,8 @@ class BoardSensors:
         self._tilt_random = generator(seed, Stream.SENSORS, robot_id, 1)
         self.tilt_bias_rad = sensors.tilt_bias_rad * self._tilt_random.uniform(-1.0, 1.0, 2)
         self._tilt_noise = np.repeat([sensors.tilt_noise_rad, sensors.gyro_noise_radps], 2)
-        self.error = (0.0, 0.0)  # of heading (rad) and yaw rate (rad/s), when the sensor is broken
+        self.faults = ImuFaults()
+        self._imu = 0.0, (0.0, 0.0, 0.0)  # yaw rate and force of the last sample
         self._wave = SurfaceWave(experiment)
         self.depth_bias_m = pressure * sensors.pressure_bias_m + experiment.robot(robot_id).depth_offset_m
 
@@ -72,12 +74,19 @@ class BoardSensors:
         cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
         ahead, side, down = du - r * v, dv + r * u, dw - GRAVITY_MPS2
         bow = sp * ahead + cp * down
+        faults, (about_y, about_z) = self.faults, (sr * cp * r + cr * pitch_rate, cr * cp * r - sr * pitch_rate)
         force = (cp * ahead - sp * down, cr * side + sr * bow, cr * bow - sr * side)
+        if faults.turned_rad:
+            ct, st = math.cos(faults.turned_rad), math.sin(faults.turned_rad)
+            about_z = ct * about_z - st * about_y
+            force = force[0], ct * force[1] + st * force[2], ct * force[2] - st * force[1]
         fx, fy, fz = [f + ACCELEROMETER_NOISE_MPS2 * n for f, n in zip(force, noise[3:], strict=True)]
+        rate_radps = faults.rate_share * about_z + faults.rate_radps + self.gyro_bias_radps
+        if not faults.is_stuck:
+            self._imu = rate_radps + sensors.gyro_noise_radps * noise[1], (fx, fy, fz)
         return Reading(
-            wrap(yaw + self.error[0] + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
-            cr * cp * r - sr * pitch_rate + self.error[1] + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
-            (fx, fy, fz),
+            wrap(yaw + faults.heading_rad + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
+            *self._imu,
             z + self._wave.pressure_m(x, y, z, time_s) + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
             self._sense_tilt(np.asarray(tilt, dtype=np.float64)),
         )

@@ -183,7 +183,7 @@ def _cells(state: RobotState) -> tuple[str, ...]:
         state.mode.name.lower(),
         _error(state),
         state.track.name.lower(),
-        f"{state.timing.pose_age_ms:.0f} ms" if state.timing.pose_age_ms < 1e5 else "never",
+        "never" if state.timing.pose_age_ms is None else f"{state.timing.pose_age_ms:.0f} ms",
         f"{state.timing.step_us:.0f} us",
         f"{state.board.battery_v if state.board is not None else 0.0:.1f} V",
         state.fault,

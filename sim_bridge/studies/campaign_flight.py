@@ -47,7 +47,7 @@ def _flown(experiment: Experiment) -> dict[str, Any]:
     """Fly numerically. The messages are judged in memory."""
     trajectories, starts = _planned(planning_text(experiment))
     water = DirectPlant(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
-    fleet = AgentFleet(experiment, trajectories, water, experiment.seed)
+    fleet = AgentFleet(experiment, trajectories, water, experiment.seed, time.thread_time_ns)
     fleet.start()
     log = log_in_memory(fly(fleet, water), {"mode": "numeric"})
     series = align(experiment, log)

@@ -20,6 +20,8 @@ import pyarrow.parquet as pq
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from groundstation.analysis.measures import TIMINGS
+from groundstation.analysis.statistics import mean
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import CAMPAIGN, check_named, check_output, replacing
@@ -72,7 +74,7 @@ def run(
         console.print(f"{error.filename or journal}: {error.strerror}; --resume goes on", style="red", soft_wrap=True)
     ordered = [rows[index] for index in sorted(rows)]
     key_values = dependences(campaign, ordered)
-    for line in lines(ordered, key_values):
+    for line in (*lines(ordered, key_values), *_method(campaign, ordered)):
         console.print(line, highlight=False, soft_wrap=True)
     _say(ordered, total, console)
     is_whole = _write(campaign, ordered, key_values, folder, console) and is_whole
@@ -152,6 +154,16 @@ def _write(
         console.print(reason, style="red", highlight=False, soft_wrap=True)
         return False
     return True
+
+
+def _method(campaign: Campaign, rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Lines on seeds, intervals, code and control steps behind the figures, as a paper states them."""
+    first, last = campaign.end_seeds
+    commits = ", ".join(sorted({str(row["commit"]) for row in rows}))
+    yield f"n = {len(rows)} flights, seeds {first} to {last}; 95 % bootstrap intervals; commit {commits or code().commit}"
+    times = [[row[name] for row in rows if row.get(name) is not None] for name in TIMINGS]
+    if all(times):
+        yield "control step: median {} µs, 99 % {} µs (means over the flights)".format(*map(mean, times))
 
 
 def _say(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:

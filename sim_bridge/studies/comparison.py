@@ -1,6 +1,7 @@
 """SHELL: `sim-bridge compare`: control laws and variants flown on the same seeds, in parallel; the station reports."""
 
 import math
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -11,7 +12,15 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightRecord, Variant, flight_figures, flight_traces
+from groundstation.analysis.comparison import (
+    SETTLED_S,
+    Comparison,
+    FlightRecord,
+    Variant,
+    flight_figures,
+    flight_traces,
+    step_times,
+)
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
@@ -67,14 +76,15 @@ def scattered(starts: Array, scatter: float, seed: int, apart_m: float = 0.0) ->
 def fly(task: FlightTask) -> FlightRecord:
     """Fly one variant on one seed. Raises ConfigError if the robots cannot start there."""
     water = DirectPlant(task.experiment, task.seed, task.starts)
-    fleet = AgentFleet(task.experiment, task.trajectories, water, task.seed)
+    fleet = AgentFleet(task.experiment, task.trajectories, water, task.seed, time.thread_time_ns)
     fleet.start()
     while fleet.time_s < task.experiment.duration_s - 1e-9:
         fleet.step()
     states, truth = [robot.states[fleet.begin :] for robot in fleet.robots], np.array(fleet.truth[fleet.begin :])
     error = fleet.errors()
     traces = flight_traces(task.experiment.controller.period_s, states, error) if task.with_traces else None
-    return FlightRecord(task.seed, flight_figures(task.experiment, states, truth, error), traces)
+    figures = flight_figures(task.experiment, states, truth, error)
+    return FlightRecord(task.seed, figures, traces, step_times(states))
 
 
 def run(

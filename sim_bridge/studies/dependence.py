@@ -10,12 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from groundstation.analysis.measures import TIMINGS
 from groundstation.analysis.statistics import Interval, mean
 from sim_bridge.studies.campaign import Campaign
 from sim_bridge.studies.statistics import rate
 
 SHOWN = ("rms_after_20s_m", "max_after_20s_m", "rms_yaw_after_20s_rad", "wrench_step_rms")
-UNITS = {"_m": ("mm", 1e3), "_rad": ("deg", 180.0 / math.pi)}  # by the ends of measures' names
+UNITS = {"_m": ("mm", 1e3), "_rad": ("deg", 180.0 / math.pi), "_us": ("µs", 1.0)}  # by the ends of measures' names
 MOST_REASONS = 8
 CELL, VALUE = 24, 14  # widths of the terminal's columns in characters
 
@@ -42,8 +43,13 @@ def unit_of(measure: str) -> tuple[str, float]:
 
 
 def shown_measures(rows: Sequence[Row]) -> list[str]:
-    """Measures of the tables: those that these flights have; of flights under 20 s that of the whole run."""
-    return [name for name in SHOWN if any(row.get(name) is not None for row in rows)] or ["rms_m"]
+    """Measures of the tables: those that these flights have, of flights under 20 s that of the whole run; and what a control
+    step takes."""
+
+    def had(names: Sequence[str]) -> list[str]:
+        return [name for name in names if any(row.get(name) is not None for row in rows)]
+
+    return (had(SHOWN) or ["rms_m"]) + had(TIMINGS)
 
 
 def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Sequence[str]) -> list[KeyValue]:
@@ -57,8 +63,10 @@ def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Seq
         members = [row for row in flown if str(row[key]) == value]
         kept = [row for row in members if not row.get("at_fault")]
         pairs = [(row, twins.get((values[0], *(str(row[name]) for name in others)))) for row in kept]
-        points = {m: [unit_of(m)[1] * row[m] for row in kept if row[m] is not None] for m in measures}
-        apart = {m: [unit_of(m)[1] * (a[m] - b[m]) for a, b in pairs if b and None not in (a[m], b[m])] for m in measures}
+        points = {m: [unit_of(m)[1] * row[m] for row in kept if row.get(m) is not None] for m in measures}
+        apart = {
+            m: [unit_of(m)[1] * (a[m] - b[m]) for a, b in pairs if b and None not in (a.get(m), b.get(m))] for m in measures
+        }
         lines.append(
             KeyValue(
                 value,

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from groundstation.analysis.measures import MEASURES
+from groundstation.analysis.measures import LABELS, MEASURES
 from groundstation.analysis.statistics import Interval
 from groundstation.report.report import saving_script
 from shoal.runtime.output_files import replace_text
@@ -21,6 +21,7 @@ from sim_bridge.studies.statistics import distribution, rate
 
 WORST = 10
 BLUE, INK = "#0072b2", "#1c2733"
+PANELS = 3  # side by side
 
 Row = dict[str, Any]
 
@@ -43,7 +44,8 @@ def write_report(
 def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Sequence[KeyValue]], wanted: int) -> dict[str, Any]:
     """Values for the campaign's page template."""
     flown = [row for row in rows if row["status"] == "flown"]
-    values = {name: [row[name] for row in flown if row.get(name) is not None] for name in MEASURES}
+    pooled = [] if by_key else flown  # flights of a sweep are not of one kind
+    values = {name: [row[name] for row in pooled if row.get(name) is not None] for name in MEASURES}
     shown = shown_measures(flown)
     main = shown[0]
     ranked = sorted((row for row in flown if row[main] is not None), key=lambda row: -row[main])
@@ -52,14 +54,16 @@ def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Seque
         "title": campaign.title or f"Campaign {campaign.name}",
         "facts": _facts(campaign, rows, flown, wanted),
         "summary": [(name, MEASURES[name], distribution(numbers)) for name, numbers in values.items() if numbers],
-        "histograms": [(_histogram(numbers), MEASURES[name]) for name, numbers in values.items() if len(set(numbers)) > 1],
+        "histograms": [
+            (_histogram(numbers, name), MEASURES[name]) for name, numbers in values.items() if len(set(numbers)) > 1
+        ],
         "groups": [(key, lines, _against(key, lines, shown)) for key, lines in by_key.items()],
         "scatters": [
-            (_scatter(name, main, pairs), f"{main} against {name}")
+            (_scatter(name, main, pairs), f"{LABELS[main]} against {name}")
             for key in campaign.draw
             for name, pairs in _components(key, main, flown)
         ],
-        "shown": [(name, unit_of(name)[0]) for name in shown],
+        "shown": [(name, LABELS[name], unit_of(name)[0]) for name in shown],
         "reasons": reasons(rows),
         "worst": [
             {"index": row["index"], "value": row[main], "reason": row["reason"], "command": command_of(campaign, row)}
@@ -71,21 +75,15 @@ def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Seque
 
 def _facts(campaign: Campaign, rows: Sequence[Row], flown: Sequence[Row], wanted: int) -> list[tuple[str, str]]:
     facts = [
-        ("flights", f"{len(rows)} of {wanted}"),
+        ("flights n", f"{len(rows)} of {wanted}"),
         ("refused or failed", str(len(rows) - len(flown))),
         ("seeds", f"{campaign.first_seed} to {campaign.first_seed + campaign.seeds - 1}"),
-        ("commit", ", ".join(sorted({_short(row["commit"]) for row in rows}))),
+        ("commit", ", ".join(sorted({str(row["commit"]) for row in rows}))),
         ("computing", f"{sum(row['wall_s'] for row in rows):.0f} s of one core"),
     ]
     if flown:
         facts.insert(1, ("within every limit", _percent(rate(sum(bool(row["passed"]) for row in flown), len(flown)))))
     return facts
-
-
-def _short(commit: str) -> str:
-    """A commit as git shortens it, and whether files were changed since."""
-    head, _, changed = commit.partition("+")
-    return f"{head[:8]} and changes" if changed else head[:8]
 
 
 def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str, list[tuple[float, float]]]]:
@@ -102,12 +100,16 @@ def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str,
 
 def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> Markup:
     """Each measure against a swept key: a dot per flight, means with their intervals."""
-    figure = Figure(figsize=(4.2 * len(measures), 2.8))
+    rows, columns = -(-len(measures) // PANELS), min(len(measures), PANELS)
+    figure = Figure(figsize=(4.2 * columns, 2.8 * rows))
+    grid = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for unused in grid[len(measures) :]:
+        unused.remove()
     numbers = [_number(line.value) for line in lines]
     places = [n for n in numbers if n is not None]
     if len(places) < len(lines):
         places = [float(k) for k in range(len(lines))]
-    for axes, measure in zip(figure.subplots(1, len(measures), squeeze=False)[0], measures, strict=True):
+    for axes, measure in zip(grid, measures, strict=False):
         for x, line in zip(places, lines, strict=True):
             axes.plot([x] * len(line.points[measure]), line.points[measure], ".", color=BLUE, markersize=4, alpha=0.4)
         intervals = [(x, i) for x, line in zip(places, lines, strict=True) if (i := line.means[measure]) is not None]
@@ -117,9 +119,14 @@ def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> Ma
             axes.plot([x, x], ends, color=INK, linewidth=2.0)
             axes.plot(x, interval.value, "o", color=INK, markersize=4)
         axes.set_xticks(places, [line.value for line in lines])
-        axes.set(xlabel=key, ylabel=f"{measure} [{unit_of(measure)[0]}]")
+        axes.set(xlabel=key, ylabel=axis_of(measure))
         axes.set_ylim(bottom=0.0)
     return _svg(figure)
+
+
+def axis_of(measure: str) -> str:
+    """Quantity and unit of a measure, for an axis."""
+    return f"{LABELS.get(measure, measure)} [{unit_of(measure)[0]}]"
 
 
 def _number(text: str) -> float | None:
@@ -129,12 +136,13 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _histogram(numbers: Sequence[float]) -> Markup:
+def _histogram(numbers: Sequence[float], measure: str) -> Markup:
     figure = Figure(figsize=(4.6, 2.4))
     axes = figure.subplots()
-    axes.hist(numbers, bins="auto" if len(numbers) < 1000 else 60, color=BLUE)
-    axes.axvline(float(np.median(numbers)), color=INK, linewidth=1.0, linestyle="--")
-    axes.set_ylabel("flights")
+    shown = unit_of(measure)[1] * np.asarray(numbers)
+    axes.hist(shown, bins="auto" if len(numbers) < 1000 else 60, color=BLUE)
+    axes.axvline(float(np.median(shown)), color=INK, linewidth=1.0, linestyle="--")
+    axes.set(xlabel=axis_of(measure), ylabel="flights")
     axes.locator_params(axis="x", nbins=5)
     return _svg(figure)
 
@@ -142,9 +150,8 @@ def _histogram(numbers: Sequence[float]) -> Markup:
 def _scatter(key: str, measure: str, pairs: Sequence[tuple[float, float]]) -> Markup:
     figure = Figure(figsize=(4.6, 2.8))
     axes = figure.subplots()
-    axes.plot(*zip(*pairs, strict=True), ".", color=BLUE, markersize=4)
-    axes.set_xlabel(key)
-    axes.set_ylabel(measure)
+    axes.plot([x for x, _ in pairs], [unit_of(measure)[1] * y for _, y in pairs], ".", color=BLUE, markersize=4)
+    axes.set(xlabel=key, ylabel=axis_of(measure))
     return _svg(figure)
 
 

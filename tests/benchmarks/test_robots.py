@@ -11,18 +11,18 @@ from typer.testing import CliRunner
 
 from benchmarks import evidence
 from benchmarks.robots import program, report
-from benchmarks.robots.cells import CELLS, draw
-from benchmarks.robots.claims import GROUPS, ObserverClaim, nees
-from benchmarks.robots.figures import FlightFigures, figures
-from benchmarks.robots.flights import fly, square
 from benchmarks.robots.report import GridRun
-from benchmarks.robots.vehicles import SPHERICAL, VEHICLES, ScaledVehicle
-from benchmarks.robots.water import TrueState
 from groundstation.planning import planner
 from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import load_experiment
 from shoal.messages.messages import Mode, Order, required
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
+from tests.flights.cells import CELLS, draw
+from tests.flights.claims import GROUPS, ObserverClaim, nees
+from tests.flights.figures import FlightFigures, figures
+from tests.flights.grid_flights import fly, square
+from tests.flights.vehicles import SPHERICAL, VEHICLES, ScaledVehicle
+from tests.flights.water import TrueState
 
 pytestmark = pytest.mark.long
 
@@ -168,7 +168,17 @@ def test_nees_is_one_for_errors_of_the_claimed_covariance() -> None:
 def test_a_run_comes_back_from_its_file_and_stands_beside_another() -> None:
     flights = (
         FlightFigures(
-            "ordinary", 1, "eight", 20, 1, holds=True, settled_s=math.inf, rms_m=0.004, hold_m=0.03, nees={"place": 1.2}
+            "ordinary",
+            1,
+            "eight",
+            20,
+            1,
+            holds=True,
+            settled_s=math.inf,
+            never_settled=True,
+            rms_m=0.004,
+            hold_m=0.03,
+            nees={"place": 1.2},
         ),
         FlightFigures("meet-2", 0, "crossing-2", 10, 2, nearest_m=0.7, back_s=12.0),
         FlightFigures("swept", 0, "straight", 10, 1, stop_s=4.0, left="FAULT after 14.00 s: off its path", is_stop=True),
@@ -178,9 +188,12 @@ def test_a_run_comes_back_from_its_file_and_stands_beside_another() -> None:
     assert repr(again) == repr(run)
     better = replace(run, law="another", flights=(replace(flights[0], hold_m=0.011), *flights[1:]))
     page = report.markdown(better, run)
-    assert "30 (30) → 11 (11)" in page and "| 30 mm; 1 of 1 beyond 20 mm | 11 mm; 0 of 1 beyond 20 mm |" in page
+    assert (
+        "| ordinary | 1 | 1 lost | never | 4 | 11 |" in page
+        and "| 30 mm; 1 of 1 beyond 20 mm | 11 mm; 0 of 1 beyond 20 mm |" in page
+    )
     assert "`python -m benchmarks robots --cells ordinary --flight 1 --set a.b=1 --hold-s 60`" in page
-    assert "* swept: 1 x FAULT: off its path" in page
+    assert "* FAULT: off its path: 1 swept" in page
 
 
 def test_a_single_flight_is_told_whole_and_an_unknown_cell_is_refused() -> None:

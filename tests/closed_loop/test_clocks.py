@@ -45,6 +45,7 @@ from shoal.messages.messages import (
     RobotState,
     StationHeartbeat,
     Track,
+    required,
 )
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Stop, WallClock
@@ -241,7 +242,11 @@ class ClockedFleet:
         check("obstacles", topics.OBSTACLES.key(), record.obstacles_instant_ns)
         check("plan", topics.PLAN.key(2), next(iter(record.plan_instants_ns), 0))
         if record.pose is not None:
-            check("age of the pose that it tells", topics.POSE.key(1), now_ns - round(outputs.state.timing.pose_age_ms * 1e6))
+            check(
+                "age of the pose that it tells",
+                topics.POSE.key(1),
+                now_ns - round(required(outputs.state.timing.pose_age_ms) * 1e6),
+            )
 
     def other(self) -> None:
         with self.world.on("robot 2"):

@@ -13,6 +13,8 @@ from shoal.messages.codec import Header
 from shoal.messages.messages import Command, DriveVelocity, Mode, Order, Reply
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 
+pytestmark = pytest.mark.long
+
 POOL = load_experiment("pool")
 DEEP = load_experiment("pool", ["pool.size_m=[3.5, 2.5, 2.0]"])
 LONE = POOL.model_copy(update={"robots": (POOL.robots[0].model_copy(update={"neighbours": ()}),)})

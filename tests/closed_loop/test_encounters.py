@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks.flights import flew
-from benchmarks.robot_agent.encounters import SCENES, meet
 from groundstation.planning import planner
 from shoal.config.experiment import load_experiment
 from shoal.messages.messages import Mode
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
+from tests.flights.encounters import SCENES, meet
+from tests.flights.scene_flights import flew
 
 pytestmark = pytest.mark.long
 

@@ -1,5 +1,4 @@
-"""Hardware in the loop: boards in HIL mode in step with the water, and with every process for real, on a pseudo-terminal and
-on UDP."""
+"""Boards in HIL mode fly in step with the water, and with every process for real on a pseudo-terminal and on UDP."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager

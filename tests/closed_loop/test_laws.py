@@ -5,13 +5,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from benchmarks.flights import SceneFlight
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Solve, required
-from tests.closed_loop.numeric import flown
+from tests.flights.scene_flights import SceneFlight, flown_once
 
 pytestmark = pytest.mark.long
 
@@ -20,7 +19,7 @@ FOLLOWING = "formation.kind=leader-follower"
 
 
 def flight(law: str, *settings: str) -> SceneFlight:
-    return flown("numeric", "duration_s=25", f"controller.law={law}", *settings)
+    return flown_once("numeric", "duration_s=25", f"controller.law={law}", *settings)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -70,8 +69,10 @@ def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:
 @pytest.mark.parametrize("kind,notices", [("leader-follower", False), ("virtual-structure", True)])
 def test_a_leader_flies_the_same_whatever_its_followers_do(kind: str, notices: bool) -> None:
     """The article's complaint about leader-follower; under the virtual structure robots wait for one another."""
+    starts = (f"robots.1.start=[{x}, 1.0, -1.0, 0.0]" for x in (0.8, 0.2))
     one, other = (
-        flight("nmpc", f"formation.kind={kind}", f"robots.1.start=[{x}, 1.0, -1.0, 0.0]").error[:, 0] for x in (0.8, 0.2)
+        flown_once("numeric", "duration_s=8", "controller.law=nmpc", f"formation.kind={kind}", start).error[:, 0]
+        for start in starts
     )
     assert np.array_equal(one, other) != notices
 

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from benchmarks.flights import prepared
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.messages import Mode, RobotState, Solve, required
 from sim_bridge.in_process.fleet import fly
-from tests.closed_loop.numeric import flown
+from tests.flights.scene_flights import flown_once, prepared
 from tests.planted import executed, installed, plant
 
 pytestmark = pytest.mark.long
@@ -31,29 +30,29 @@ OPTIMUM = {"numeric": (1.661, 5.591, 4.106), "numeric-disturbed": (15.95, 3.820,
 
 
 def test_the_numeric_scene_is_tracked_to_a_millimetre() -> None:
-    place_m, yaw_rad = flown("numeric", "duration_s=35").settled_rms()
+    place_m, yaw_rad = flown_once("numeric", "duration_s=35").settled_rms()
     assert place_m < 0.001 and yaw_rad < 0.0012  # asked for: 5 mm, 5 mrad
 
 
 def test_the_disturbed_scene_is_tracked_to_a_centimetre() -> None:
-    place_m, yaw_rad = flown("numeric-disturbed", "duration_s=35").settled_rms()
+    place_m, yaw_rad = flown_once("numeric-disturbed", "duration_s=35").settled_rms()
     assert place_m < 0.008 and yaw_rad < 0.01  # asked for: 10 mm, 10 mrad
 
 
 def test_without_the_observer_the_disturbed_scene_is_five_times_worse() -> None:
-    with_eso, _ = flown("numeric-disturbed", "duration_s=35").settled_rms()
-    without, _ = flown("numeric-disturbed", "duration_s=35", "controller.estimator.enabled=false").settled_rms()
+    with_eso, _ = flown_once("numeric-disturbed", "duration_s=35").settled_rms()
+    without, _ = flown_once("numeric-disturbed", "duration_s=35", "controller.estimator.enabled=false").settled_rms()
     assert without > 5.0 * with_eso
 
 
 def test_a_robot_whose_sensor_tells_too_much_flies_at_its_depth_where_that_is_known() -> None:
-    corrected = flown("pool", "duration_s=6", "robots.0.depth_offset_m=0.1", "robots.1.depth_offset_m=-0.05")
-    assert np.abs(corrected.truth[:, :, 2] - flown("pool", "duration_s=6").truth[:, :, 2]).max() < 0.001
+    corrected = flown_once("pool", "duration_s=6", "robots.0.depth_offset_m=0.1", "robots.1.depth_offset_m=-0.05")
+    assert np.abs(corrected.truth[:, :, 2] - flown_once("pool", "duration_s=6").truth[:, :, 2]).max() < 0.001
 
 
 @pytest.mark.parametrize("name", ["numeric", "numeric-disturbed"])
 def test_the_whole_run_is_near_the_best_that_the_start_allows(name: str) -> None:
-    flight = flown(name, "duration_s=35", "controller.nmpc.heading_m=1.0")  # the optimum's own weight
+    flight = flown_once(name, "duration_s=35", "controller.nmpc.heading_m=1.0")  # the optimum's own weight
     cost = np.sum(flight.error**2, axis=(0, 2)) * flight.experiment.controller.period_s
     assert np.all(np.sqrt(cost / np.array(OPTIMUM[name])) < 1.04)  # RMS; asked for: 1.15
     assert np.all(np.sqrt(cost / np.array(OPTIMUM[name])) > 0.99)  # nobody is better than the optimum
@@ -76,13 +75,13 @@ def test_a_robot_that_has_given_up_is_as_wrong_as_it_is() -> None:
 
 
 def test_a_formation_that_turns_with_its_path_is_tracked_too() -> None:
-    place_m, yaw_rad = flown("numeric", "duration_s=35", "formation.mode=rotate", "path.slow=true").settled_rms()
+    place_m, yaw_rad = flown_once("numeric", "duration_s=35", "formation.mode=rotate", "path.slow=true").settled_rms()
     assert place_m < 0.005 and yaw_rad < 0.005
 
 
 def late_errors(*settings: str) -> tuple[float, Array]:
     """Figure of eight after 20 s: RMS of the worse axis and robot, in m, and of the wrench's change per second, (3,)."""
-    flight = flown("figure-eight", "duration_s=40", "sim.plant.step_s=0.01", *settings)
+    flight = flown_once("figure-eight", "duration_s=40", "sim.plant.step_s=0.01", *settings)
     change = np.array(
         [[required(state.control).wrench_step for state in states[flight.settled :]] for states in flight.states]
     )
@@ -102,7 +101,7 @@ def test_slow_and_fast_loops_fly_as_the_usual_one(period_s: float) -> None:
 
 @pytest.mark.parametrize("name", ["numeric", "numeric-disturbed"])
 def test_inputs_keep_their_limits_and_every_step_is_solved(name: str) -> None:
-    flight = flown(name, "duration_s=35")
+    flight = flown_once(name, "duration_s=35")
     limits = flight.experiment.vehicle.limits
     for states in flight.states:
         assert all(required(state.control).solve is Solve.SOLVED and state.mode is Mode.TRACKING for state in states)
@@ -117,7 +116,7 @@ def test_inputs_keep_their_limits_and_every_step_is_solved(name: str) -> None:
 
 
 def test_time_zero_is_the_scene_s_start_at_rest() -> None:
-    flight = flown("numeric", "duration_s=35")
+    flight = flown_once("numeric", "duration_s=35")
     starts = np.array([robot.start for robot in flight.experiment.robots])
     first = np.array([t.eta[0] for t in flight.fleet.trajectories.values()])
     np.testing.assert_allclose(flight.error[0], starts - first, atol=1e-12)
@@ -230,7 +229,7 @@ def test_the_command_leaves_log_result_and_report_whatever_the_locale_and_the_wo
     assert result["errors_against"] == "truth"
     assert result["robots"]["2"]["article"]["rms_yaw_rad"] == 0.009
     assert result["control_step_us"]["n"] > 100
-    error = flown("numeric", "duration_s=3").subjects()["1-3"]
+    error = flown_once("numeric", "duration_s=3").subjects()["1-3"]
     np.testing.assert_allclose(result["pairs"]["1-3"]["rms_m"], np.sqrt(np.mean(error[:, :3] ** 2, axis=0)), rtol=1e-3)
     page = (folder / "report.html").read_text()
     for figure in ("references", "space", "paths", "tracking", "formation", "inputs"):

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.flights import flown
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
+from tests.flights.scene_flights import flown
 
 PAGE = Path(__file__).parents[2] / "docs" / "baselines.md"
 

@@ -1,5 +1,4 @@
-"""Commands that write files, while the disk fails at the n-th call or the command is killed there: afterwards the old file or
-the whole new one is there, and the exit code and the last line say which."""
+"""Commands that write files leave the old file or the whole new one when the disk fails or they are killed, and say which."""
 
 import os
 import random

@@ -1,5 +1,7 @@
-"""Logs, recordings, tables and campaigns that grow while the disk fails or their command is killed: what was written until
-then can be read, the original of a mended log is kept, and what takes long is gone on with."""
+"""Logs, recordings, tables and campaigns stay readable up to where the disk failed or their command was killed.
+
+The original of a mended log is kept, and what takes long is gone on with.
+"""
 
 import csv
 import json

@@ -110,12 +110,12 @@ class RowOutcome:
 HEAD = """# Faults
 
 Written by `make faults`, which injects every fault below into real processes at random instants and measures what the thruster
-boards do. The figures are the median and the **worst** of N injections, in seconds unless it says otherwise; a limit with a
-percentage holds for that share of them. One row again: `make faults ARGS="--row {example} --times 5"`.
+boards do. Each figure is the worst of N injections and its limit, from the fault on. A limit with a percentage holds for that
+share of the injections. faults.json has medians. One row again: `make faults ARGS="--row {example} --times 5"`.
 
-A user can inject the faults of [reference/faults.md](../reference/faults.md); the others need the tests' own tools. What can
-still go wrong is in [safety.md](../safety.md). Robots that are held fast, with a turned marker, or in too strong a current:
-[robots.md](robots.md#traps), flown by `python -m benchmarks robots`.
+A user can inject the faults of [reference/faults.md](../reference/faults.md); the others need the tests' own tools.
+Known gaps: [safety.md](../safety.md). Robots that are held fast, with a turned marker, or in too strong a current:
+[robots.md](robots.md#traps).
 """
 
 
@@ -124,18 +124,11 @@ def write_page(path: Path, rows: Sequence[FaultRow]) -> None:
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     outcomes = {key: RowOutcome.from_json(table) for key, table in kept.items()}
     lines = [HEAD.format(example=rows[0].key)]
-    lines += ["| Row | Fault | How | Measured | N | median | worst | limit | |", "|---|---|---|---|---|---|---|---|---|"]
+    lines += ["| Row | Fault | N | Worst of N |", "|---|---|---|---|"]
     for row in rows:
-        if row.key not in outcomes:
-            lines.append(f"| `{row.key}` | {row.fault} | {row.how} | {NOT_MEASURED} | | | | | |")
-            continue
-        result = outcomes[row.key]
-        fault = f"`{row.key}` | {row.fault} | {row.how}"  # once: its other lines leave these cells empty
-        for name, figure in result.figures.items():
-            mark = _mark(figure.kept) if figure.times else NOT_MEASURED
-            lines.append(f"| {fault} | {name} | {' | '.join(figure.shown)} | {mark} |")
-            fault = "| |"
-        lines += [f"| `{row.key}` | | | stuck {len(result.stuck)} times | | | | | {_mark(False)} |"] if result.stuck else []
+        outcome = outcomes.get(row.key)
+        times = max((figure.times for figure in outcome.figures.values()), default=0) if outcome else 0
+        lines.append(f"| `{row.key}` | {row.fault}: {row.how} | {times} | {_measured(outcome)} |")
     wrong, not_finite = (sum(getattr(r, name) for r in outcomes.values()) for name in ("wrong", "not_finite"))
     machines = sorted({result.machine for result in outcomes.values()})
     seeds = sorted({result.seed for result in outcomes.values()})
@@ -150,5 +143,19 @@ def write_page(path: Path, rows: Sequence[FaultRow]) -> None:
     path.write_text("\n".join(lines), encoding="utf-8")
 
 
-def _mark(kept: bool) -> str:
-    return "✓" if kept else "**not kept**"
+def _measured(outcome: RowOutcome | None) -> str:
+    """Worst value and limit of each figure of a row. What never happened, and must not, shares one word."""
+    if outcome is None:
+        return NOT_MEASURED
+    never = [name for name, figure in outcome.figures.items() if figure.times and figure.worst == figure.limit == 0.0]
+    words = [_worst(name, figure) for name, figure in outcome.figures.items() if name not in never]
+    words += [f"never {' or '.join(never)}"] if never else []
+    words += [f"**stuck {len(outcome.stuck)} times**"] if outcome.stuck else []
+    return "; ".join(words)
+
+
+def _worst(name: str, figure: Figure) -> str:
+    if not figure.times:
+        return f"{name}: {NOT_MEASURED}"
+    _, _, worst, limit = figure.shown
+    return f"{name} {worst} <= {limit}" if figure.kept else f"**{name} {worst}, not kept: {limit}**"

@@ -5,11 +5,11 @@ import time
 
 import numpy as np
 
-from benchmarks.robot_agent.thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
 from shoal.messages.messages import Mode, Order, Solve, required
 from tests.faults.rig import Rig
 from tests.faults.row import OFF, POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries
+from tests.flights.broken_thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
 
 NEVER_S = 999.0
 SETTLED_S = 6.0  # a flight's first seconds, in which a robot comes to its depth
@@ -117,8 +117,8 @@ def link_garbage(rig: Rig, random: Random) -> Sample:
     wire.trouble = LineTrouble()
     ns = time.monotonic_ns()
     rig.wait(lambda: any(at > ns for at, _ in board.taken[-5:]), "board takes overrides again", 5.0)
-    rig.wait(lambda: any(h.state.timing.board_age_ms < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
-    heard_ns = next(h.ns for h in rig.since(robot, ns) if h.state.timing.board_age_ms < 40.0)
+    rig.wait(lambda: any(required(h.state.timing.board_age_ms) < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
+    heard_ns = next(h.ns for h in rig.since(robot, ns) if required(h.state.timing.board_age_ms) < 40.0)
     return {
         "board in step again": (next(at for at, _ in board.taken if at > ns) - ns) * 1e-9,
         "agent in step again": (heard_ns - ns) * 1e-9,

@@ -1,8 +1,8 @@
 """The table of faults: what is measured of each, and what it must not exceed."""
 
-from benchmarks.robot_agent.thrusters import LACKING_N
 from tests.faults import rows_alone, rows_cameras, rows_network, rows_robot, rows_sight, rows_station, rows_strangers
 from tests.faults.row import LEFT, RESUMED, SECONDS, STEP_S, TIMES, FaultRow, Measure
+from tests.flights.broken_thrusters import LACKING_N
 
 STATION_LOST = {
     "hold": SECONDS(1.0 + STEP_S),

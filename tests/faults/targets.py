@@ -26,6 +26,7 @@ from localizer.tracking.fleet_localizer import FleetLocalizer
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from robot_agent.safety.modes import POWERED
+from robot_agent.safety.sensor_checks import LEVEL_MPS2
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.loader import apply_setting, check, read_toml
 from shoal.config.vehicle import Vehicle
@@ -117,12 +118,13 @@ def agent(data: bytes) -> None:
     for number, order in enumerate((Order.LOAD, Order.ARM, Order.START), start=1):
         station = StationView(1, now_ns, 0.0)
         pose = Pose(0.5, 0.1, 0.2, np.eye(3) * 1e-6, Track.MARKER, True, 1.0, 0.3)
-        telemetry = Telemetry(board_ms=number, arrival_ns=now_ns, battery_v=12.0, armed=number > 2)
+        telemetry = Telemetry(number, now_ns, acceleration_mps2=LEVEL_MPS2, battery_v=12.0, armed=number > 2)
         robot.step(Inputs(StampedPose(pose, now_ns), telemetry, station), now_ns)
         path = _trajectory()
         command = Command(
-            order, 1, experiment_hash=_pool().hash, trajectory_id=path.id, trajectory=path if order is Order.LOAD else None
-        )
+            order, 1, experiment_hash=_pool().hash, trajectory_id=path.id, trajectory=path if order is Order.LOAD else None,
+            start_ns=now_ns,
+        )  # fmt: skip
         robot.handle_command(Header(1, number, now_ns), command, station, now_ns)
         now_ns += PERIOD_NS
     while bites.left:

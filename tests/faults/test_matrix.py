@@ -1,5 +1,8 @@
-"""A few rows of `make faults`, once each, in every test run: that the injections work and the robots stay safe. How fast they
-are is measured by `make faults` on a quiet machine; here a busy one must not fail, so times may be longer by SLACK_S."""
+"""Injections of `make faults` work, and the robots stay safe: a few rows, once each, in every test run.
+
+How fast they are is measured by `make faults` on a quiet machine; here a busy one must not fail, so times may be longer by
+SLACK_S.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path

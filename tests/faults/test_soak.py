@@ -7,7 +7,6 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.flights import prepared, rough_water
 from groundstation.analysis.alignment import align
 from groundstation.analysis.measures import measures
 from groundstation.analysis.metrics import evaluate
@@ -17,6 +16,7 @@ from shoal.messages import topics
 from shoal.messages.messages import Event, is_finite
 from sim_bridge.in_process.fleet import fly
 from tests.faults.soak import Watch, random_faults
+from tests.flights.scene_flights import prepared, rough_water
 
 pytestmark = pytest.mark.real_time
 

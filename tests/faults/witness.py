@@ -124,8 +124,8 @@ def watched_world(line: Line) -> type[World]:
             sim = self._experiment.sim.model_copy(update={"faults": faults})
             self.faults = FaultSchedule(self._experiment.model_copy(update={"sim": sim}))
             flags = self.faults.at(0.0)
-            for board, error in zip(self.boards, self.faults.imu_error.tolist(), strict=True):
-                board.sensors.error = (error[0], error[1])
+            for board, imu in zip(self.boards, self.faults.imu, strict=True):
+                board.sensors.faults = imu
             line.tell(broken=requests)
             return flags
 

@@ -155,6 +155,10 @@ class FirmwareBoard:
         """0 if it was taken."""
         return int(self._library.rules_change(self._board, parameter, value))
 
+    def value(self, name: str) -> float:
+        """A parameter's present value."""
+        return float(self._library.library_parameter(self._board, PARAMETERS.index[name]))
+
     def take_key(self) -> bool:
         return bool(self._library.rules_take_key(self._board))
 

@@ -28,7 +28,8 @@ class ChipFault(IntEnum):
     ABSENT = 0
     FROZEN = 1  # answers, with the same value again and again
     WRONG = 2  # another WHO_AM_I, a damaged PROM
-    LATE = 3  # conversions take four times as long
+    LATE = 3  # conversions take four times as long; the IMU holds the clock
+    ASLEEP = 4  # answers, but converts nothing, whatever it is told
 
 
 class Reset(IntFlag):
@@ -62,7 +63,7 @@ class Mega:
         self._library.simulation_open.restype = ctypes.c_void_p
         self._library.simulation_cycle.restype = ctypes.c_uint64
         elf = elf or built("build/board.elf", compiler="avr-gcc")
-        symbols = _symbols(elf)
+        self._symbols = symbols = _symbols(elf)
         self.static_bytes = (symbols["_end"] & 0xFFFF) - RAM_BEGIN
         self._simulation = ctypes.c_void_p(
             self._library.simulation_open(
@@ -125,6 +126,16 @@ class Mega:
         self._library.simulation_loop(self._simulation, cycles)
         return cycles[0], cycles[1]
 
+    def watch(self, function: str) -> None:
+        """Count the calls of a function from now on."""
+        self._library.simulation_watch(self._simulation, self._symbols[function])
+
+    def calls(self) -> tuple[int, float]:
+        """Count of calls of the watched function, and the longest time between two calls, us."""
+        calls = (ctypes.c_uint64 * 2)()
+        self._library.simulation_calls(self._simulation, calls)
+        return calls[0], calls[1] / CYCLES_PER_US
+
     @property
     def stack_bytes(self) -> int:
         """Bytes of stack that were ever used."""
@@ -174,9 +185,13 @@ class Mega:
         """A register of the IMU changes by itself."""
         self._library.simulation_glitch(self._simulation, register, value)
 
-    def hold_bus(self, after_bytes: int = 1) -> None:
-        """A chip stops in the middle of a byte of the read that comes, and holds the bus."""
-        self._library.simulation_hold_bus(self._simulation, after_bytes)
+    def hold_bus(self, after_bytes: int = 1, clocks: int = 5) -> None:
+        """A chip stops in the middle of a byte of the read that comes, and holds the bus for so many clocks."""
+        self._library.simulation_hold_bus(self._simulation, after_bytes, clocks)
+
+    def free_bus(self) -> None:
+        """No chip holds the bus any longer."""
+        self._library.simulation_free_bus(self._simulation)
 
     def measure(self, depth_m: float = 0.0, yaw_rate_radps: float = 0.0, air_hpa: float = 0.0) -> None:
         """Have the sensors measure a depth, with the air's pressure above that in which it began, and a turn."""

@@ -7,9 +7,13 @@ nothing noticed. `make mutants` runs it.
 """
 
 import argparse
+import ctypes
+import importlib
+import inspect
 import os
 import random
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -17,7 +21,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.firmware.library import CORE_TESTS, FIRMWARE, built
+import pytest
+
+from tests.firmware.library import CORE_TESTS, FIRMWARE, built, load
 
 FILES = ("rules.c", "parameters.c", "signing.c", "store.c")
 SWAPS = [  # a piece of the code, and what stands there instead
@@ -28,9 +34,9 @@ SWAPS = [  # a piece of the code, and what stands there instead
     (r"\bfminf\b", ("fmaxf",)), (r"\bfmaxf\b", ("fminf",)), (r" \* ", (" / ",)), (r" / ", (" * ",)),
 ]  # fmt: skip
 STATEMENT = re.compile(
-    r"^(\s+)(?!return\b|const\b|static\b|struct\b|uint|int|float|bool|break|case|default|else)[^{}#]*;\s*(/\*.*)?$"
+    r"^(\s+)(?!\s|return\b|const\b|static\b|struct\b|uint|int|float|bool|break|case|default|else)[^{}#]*;\s*(/\*.*)?$"
 )
-LONGEST_S = 60
+LONGEST_S = 12  # of the processor, for tests that take 4
 
 
 @dataclass(frozen=True)
@@ -62,50 +68,57 @@ def mutants_of(file: str) -> Iterator[Mutant]:
 
 
 class Workshop:
-    """The core as objects, of which one is compiled anew for each mutant."""
+    """The core as objects, of which one is another for each mutant."""
 
     def __init__(self, folder: Path) -> None:
         built("build/libboard.so")
         self.folder, include = folder, FIRMWARE / "build"
         made = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "list-library"], capture_output=True, text=True, check=True)
-        self._sources = made.stdout.split()
+        self._objects = {Path(source).name: folder / (Path(source).stem + ".o") for source in made.stdout.split()}
         self._compile = ["gcc", "-std=c99", "-O1", "-fPIC", f"-I{FIRMWARE}", "-isystem", str(include), f"-I{include}", "-w"]
-        for source in self._sources:
-            self._object(FIRMWARE / source, source)
-
-    def _object(self, path: Path, source: str) -> bool:
-        made = folder_of(self.folder, source)
-        return subprocess.run([*self._compile, "-c", "-o", made, path], capture_output=True).returncode == 0
+        self._compile += ["-fsanitize=bounds,shift,null,unreachable", "-fsanitize-undefined-trap-on-error"]  # ends a mutant
+        for source in made.stdout.split():
+            subprocess.run([*self._compile, "-c", "-o", self._objects[Path(source).name], FIRMWARE / source], check=True)
 
     def library(self, mutant: Mutant) -> Path | None:
         """The library with a mutant; None if that is no C."""
         lines = (FIRMWARE / mutant.file).read_text().splitlines()
         lines[mutant.line - 1] = mutant.text
-        changed, library = self.folder / mutant.file, self.folder / f"mutant-{os.getpid()}.so"
-        changed.write_text("\n".join(lines) + "\n")
-        if not self._object(changed, mutant.file):
+        source, changed, library = (self.folder / name for name in (mutant.file, "mutant.o", "mutant.so"))
+        source.write_text("\n".join(lines) + "\n")
+        if subprocess.run([*self._compile, "-c", "-o", changed, source], capture_output=True).returncode != 0:
             return None
-        objects = [folder_of(self.folder, source) for source in self._sources]
+        objects = [changed if name == mutant.file else of_source for name, of_source in self._objects.items()]
         subprocess.run(["gcc", "-shared", "-o", library, *objects, "-lm"], check=True)
-        self._object(FIRMWARE / mutant.file, mutant.file)
         return library
 
 
-def folder_of(folder: Path, source: str) -> Path:
-    """Place of a source's object."""
-    return folder / (Path(source).stem + ".o")
-
-
 def is_noticed(library: Path) -> bool:
-    """True if a fast test of the core fails, crashes or does not end."""
-    words = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *CORE_TESTS]
-    environment = os.environ | {"SHOAL_CORE_LIBRARY": str(library)}
-    try:
-        return (
-            subprocess.run(words, cwd=FIRMWARE.parent, env=environment, capture_output=True, timeout=LONGEST_S).returncode != 0
-        )
-    except subprocess.TimeoutExpired:
-        return True
+    """True if a fast test of the core fails, crashes or does not end. The tests run in a copy of this process, which has
+    imported what they need: those without fixtures of their own as plain calls, then all by pytest."""
+    copy = os.fork()
+    if copy == 0:
+        resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S))
+        for stream in (1, 2):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+        os.environ["SHOAL_CORE_LIBRARY"] = str(library)
+        os.chdir(FIRMWARE.parent)
+        try:
+            call_tests(load(library))
+        finally:
+            os._exit(1 if sys.exc_info()[0] else int(pytest.main(["-q", "-x", "-n0", "-p", "no:cacheprovider", *CORE_TESTS])))
+    return os.waitpid(copy, 0)[1] != 0
+
+
+def call_tests(library: ctypes.CDLL) -> None:
+    """Call the tests that need nothing but the library, and the memory of a board with a key."""
+    rules, memory = (importlib.import_module(f"tests.firmware.{name}") for name in ("test_rules", "test_memory"))
+    given = {"library": library, "keyed": memory.keyed_memory(library)}
+    for module in (memory, rules):
+        for name, test in vars(module).items():
+            needs = inspect.signature(test).parameters if name.startswith("test_") else {"": None}
+            if needs.keys() <= given.keys() and not hasattr(test, "pytestmark"):
+                test(**{need: given[need] for need in needs})
 
 
 def main() -> None:

@@ -23,7 +23,11 @@ class Pilot:
 
     def step(self) -> None:
         self.now_ns += STEP_NS
-        self.link.receive(self.mega.step(self.now_ns), self.now_ns)
+        self.take(self.mega.step(self.now_ns))
+
+    def take(self, data: bytes) -> None:
+        """Bytes of the board."""
+        self.link.receive(data, self.now_ns)
         self.bursts.add(self.link.telemetry.board_ms)
 
     def send(self, frame: bytes) -> None:

@@ -11,6 +11,8 @@ import pytest
 
 from tests.firmware.library import CORE_TESTS, FIRMWARE, built
 
+pytestmark = pytest.mark.long
+
 COVERED = ("rules.c", "parameters.c", "signing.c", "store.c")
 
 

@@ -18,7 +18,7 @@ DEPTH_M, BIAS_RADPS = 1.0, 0.05
 FIRST_WORD_S = 1.5  # of a board with the stock bootloader, if nothing is sent to it
 KEY = Key(bytes(range(1, 33)))
 OLD, NEW = 4000.0, 4321.0  # of the parameter that is set
-CUTS, MANY_CUTS, LONGEST_S = 12, 1000, 1.2  # power cuts, and when after an order: a record of settings takes 0.9 s
+CUTS, MANY_CUTS, LONGEST_S = 6, 1000, 1.2  # power cuts, and when after an order: a record of settings takes 0.9 s
 
 
 @pytest.fixture

@@ -132,6 +132,7 @@ def test_of_more_texts_than_find_room_the_newest_are_kept(library: ctypes.CDLL) 
     board.arm(True, 0)
     texts = [text for _, text in board.texts()]
     assert texts == ["not armed: no override is arriving"] * 3 + ["armed", "disarmed", "armed"]
+    assert board.state()[:3] == (True, 0, 0) and [board.value(name) for name in PARAMETERS.index] == list(PARAMETERS.values)
 
 
 PUSHING = {  # changes that are taken, and the one after them that would have a disarmed board push
@@ -170,6 +171,15 @@ def test_a_change_that_could_have_a_disarmed_board_push_is_refused(
         assert (refusal is None) is (at < len(changes)), name
         parameters = parameters if isinstance(changed, Refusal) else changed
     assert board.pulses[:4] == tuple(round(1500 + trim) for trim in parameters.trims_us[:4])
+
+
+def test_a_curve_that_pushes_a_little_both_ways_is_taken(library: ctypes.CDLL) -> None:
+    board = FirmwareBoard(library)
+    points = sorted(name for name in PARAMETERS.index if name.startswith("CRV") and name.endswith("_N"))
+    for name in (*points[: len(points) // 2 + 1][::-1], *points[len(points) // 2 :]):  # from the dead zone outwards
+        value = min(max(PARAMETERS[name], -0.25), 0.25)
+        board.change(PARAMETERS.index[name], value)
+    assert board.value(points[0]) == -0.25 and board.value(points[-1]) == 0.25
 
 
 @pytest.mark.slow

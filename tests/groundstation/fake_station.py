@@ -24,6 +24,8 @@ class FakeStation:
     orders: list[Order] = field(default_factory=list)
     via: Sequence[tuple[float, float]] = ()  # of the last order
     only: int = 0  # the robot that the last order was for
+    robots_asked: list[int] = field(default_factory=list)  # of each order; 0: the whole fleet
+    text: str = ""  # of the last order
     drives: list[tuple[int, DriveVelocity]] = field(default_factory=list)
     preflight: tuple[Finding, ...] | None = None  # None: as the robots are
     paths: Mapping[int, tuple[Trajectory, float]] | None = None
@@ -39,13 +41,14 @@ class FakeStation:
         preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
         return replace(self.own_status, views=fleet, preflight=preflight)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = "") -> tuple[str, int]:
         self.orders.append(order)
-        self.via, self.only, self.form = via, only, form
+        self.robots_asked.append(only)
+        self.via, self.only, self.text = via, only, text
         return "", len(self.orders)
 
-    def plan_form(self, form: str) -> PlanSegment:
-        raise PlanError(f"{form}: nothing flies here")
+    def draft(self, order: Order, text: str) -> PlanSegment:
+        raise PlanError(f"{text}: nothing flies here")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         self.drives.append((robot, velocity))

@@ -34,7 +34,7 @@ def test_only_missing_sequence_numbers_count_as_lost(lost: tuple[int, ...], shar
 def test_message_ages_are_judged_by_the_experiments_limits(limit: str, key: str, age_s: float) -> None:
     """At a lower rate an experiment allows more; the station must not bar what the robots would fly with."""
     view = RobotView(
-        RobotState(mode=Mode.HOLDING, board=BoardReading(battery_v=16.0)), 0.02,
+        RobotState(mode=Mode.HOLDING, board=BoardReading(battery_v=16.0), timing=StepTiming(board_age_ms=20.0)), 0.02,
         Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True, 1.0, 0.0), age_s, age_s,
     )  # fmt: skip
     for limit_s, is_alarm in ((age_s - 0.1, True), (age_s + 0.1, False)):
@@ -60,9 +60,13 @@ def test_an_unheard_battery_is_not_reported_empty() -> None:
 
 @pytest.mark.parametrize(
     ("age_ms", "board", "text"),
-    [(2500.0, BoardReading(5), "thruster board silent for 2.5 s"), (1e6, None, "thruster board not heard")],
+    [
+        (2500.0, BoardReading(5), "thruster board silent for 2.5 s"),
+        (None, None, "thruster board not heard"),
+        (None, BoardReading(5), "thruster board not heard"),
+    ],
 )
-def test_a_board_never_heard_is_reported_without_an_age(age_ms: float, board: BoardReading | None, text: str) -> None:
+def test_a_board_never_heard_is_reported_without_an_age(age_ms: float | None, board: BoardReading | None, text: str) -> None:
     view = RobotView(RobotState(timing=StepTiming(board_age_ms=age_ms), board=board), 0.02, None, 0.02)
     assert text in [finding.text for finding in findings(load_experiment("pool"), 1, view)]
 

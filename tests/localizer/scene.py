@@ -19,6 +19,7 @@ from shoal.frames import Array, pool_to_body
 Pixels = NDArray[np.uint8]
 _OVERSAMPLE = 3  # samples of a pixel each way
 _TEXTURE_PX = 256
+BAYER = np.array([[2, 1], [1, 0]])  # of BGR, at pixels of even and odd rows and columns: RGGB
 
 
 class Scene:
@@ -64,12 +65,13 @@ class Scene:
         u = left - 0.5 + (np.arange((right - left) * n) + 0.5) / n  # pixel k spans k - 0.5 to k + 0.5
         v = top - 0.5 + (np.arange((bottom - top) * n) + 0.5) / n
         body = pool_to_body(self._plate_points(u, v, plate_m) - eta[:2], eta[3])
-        colour, covered = self._robot_colour(body, marker)
-        shape = (bottom - top, n, right - left, n)
-        share = covered.reshape(shape).mean(axis=(1, 3))  # of each pixel; BGR of the covered part below
-        robot = (colour * covered[..., None]).reshape(*shape, 3).sum(axis=(1, 3)) / np.maximum(share * n * n, 1.0)[..., None]
+        ahead, starboard = np.ascontiguousarray(body[..., 0]), np.ascontiguousarray(body[..., 1])
+        covered = ahead**2 + starboard**2 < self._radius_m**2
+        colour = self._robot_colour(ahead, starboard, marker) * covered
+        # of each pixel: samples that the robot covers, and their mean colour
+        count, total = (sum(values[i::n, j::n] for i in range(n) for j in range(n)) for values in (covered * 1.0, colour))
         under = picture[top:bottom, left:right]
-        under += (share * (bayer(robot) - under)).astype(np.float32)
+        under += (count / n**2 * (total / np.maximum(count, 1.0) - under)).astype(np.float32)
 
     def _plate_points(self, u: Array, v: Array, plate_m: float) -> Array:
         """Pool points (len(v), len(u), 2) under a grid of pixels: cubics through a coarse grid, true to 1e-6 m."""
@@ -82,20 +84,24 @@ class Scene:
         fine = (np.linspace(-1.0, 1.0, len(v)), np.linspace(-1.0, 1.0, len(u)))
         return np.moveaxis(polynomial.polygrid2d(*fine, terms.swapaxes(0, 1)), 0, -1)
 
-    def _robot_colour(self, body_m: Array, marker: int | None) -> tuple[Array, NDArray[np.bool_]]:
-        """Colour (..., 3) BGR and cover of points (..., 2) on the plate, metres ahead and to starboard."""
-        index = ((body_m / self._radius_m + 1.0) / 2.0 * _TEXTURE_PX).astype(int).clip(0, _TEXTURE_PX - 1)
-        colour = self._skin[index[..., 1], index[..., 0]]
+    def _robot_colour(self, ahead_m: Array, starboard_m: Array, marker: int | None) -> Array:
+        """The colour of points on the plate that the sensor measures at their pixels: one of blue, green and red."""
+        column, row = (
+            ((place_m / self._radius_m + 1.0) / 2.0 * _TEXTURE_PX).astype(int).clip(0, _TEXTURE_PX - 1)
+            for place_m in (ahead_m, starboard_m)
+        )
+        samples = np.kron(BAYER, np.ones((_OVERSAMPLE, _OVERSAMPLE), int))
+        channel = np.tile(samples, [size // len(samples) for size in ahead_m.shape])
+        colour: Array = self._skin.ravel().take((row * _TEXTURE_PX + column) * 3 + channel)
         if marker is not None:
             dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
             cells = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker, 6))
-            white = np.max(np.abs(body_m), axis=-1) < 0.65 * self._marker.side_m
-            row = np.floor((0.5 - body_m[..., 0] / self._marker.side_m) * 6).astype(int)  # upper edge ahead
-            column = np.floor((0.5 + body_m[..., 1] / self._marker.side_m) * 6).astype(int)
+            white = np.maximum(np.abs(ahead_m), np.abs(starboard_m)) < 0.65 * self._marker.side_m
+            row = np.floor((0.5 - ahead_m[white] / self._marker.side_m) * 6).astype(int)  # upper edge ahead
+            column = np.floor((0.5 + starboard_m[white] / self._marker.side_m) * 6).astype(int)
             inside = (row >= 0) & (row < 6) & (column >= 0) & (column < 6)
-            shade = np.where(inside, 20.0 + 0.8 * cells[row.clip(0, 5), column.clip(0, 5)], 224.0)
-            colour = np.where(white[..., None], shade[..., None], colour)
-        return colour, np.linalg.norm(body_m, axis=-1) < self._radius_m
+            colour[white] = np.where(inside, 20.0 + 0.8 * cells[row.clip(0, 5), column.clip(0, 5)], 224.0)
+        return colour
 
 
 def bayer(bgr: NDArray[Any]) -> NDArray[Any]:

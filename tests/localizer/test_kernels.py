@@ -109,19 +109,6 @@ def test_sampled_colours() -> None:
     assert np.array_equal(samples[:, 7], picture[0, 0])
 
 
-@pytest.mark.parametrize("shape", [(30, 40), (28, 35), (1, 1)])
-def test_sample_of_a_picture(shape: tuple[int, int]) -> None:
-    """Of any layout, and of one that is only to be read; the differences are to the last sample."""
-    picture = np.random.default_rng(6).integers(0, 256, shape, np.uint8)
-    picture.setflags(write=False)
-    samples = np.zeros([-(-side // 7) for side in shape], np.uint8)
-    for again in (picture, np.asfortranarray(picture), picture[::-1]):
-        expected, before = again[::7, ::7], samples.copy()
-        count = kernels.sample(again, 7, samples)
-        assert count == (expected.sum(), np.sum(expected != before))
-        assert np.array_equal(samples, expected)
-
-
 @pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="this is the run without compiling")
 def test_kernels_as_plain_python() -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", __file__]

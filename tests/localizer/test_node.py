@@ -40,6 +40,7 @@ from shoal.messages.messages import (
     Pose,
     Preview,
     RobotState,
+    StepTiming,
     Tick,
     Track,
 )
@@ -54,6 +55,7 @@ from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
 from tests.waiting import eventually
 
+JUST_NOW = StepTiming(board_age_ms=0.0)
 pytestmark = pytest.mark.real_time
 
 EXPERIMENT = load_experiment("pool")
@@ -318,7 +320,12 @@ def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[.
     for stamp_ns, depth_m, roll_rad in ((80 * MS, 0.31, 0.1), (130 * MS, 0.35, -0.3)):
         for robot in ETA:
             tilt = np.array([roll_rad, 0.0, 0.5, 0.0])
-            bus.publish(topics.STATE, RobotState(board=BoardReading(depth_m=depth_m, tilt=tilt)), stamp_ns, robot)
+            bus.publish(
+                topics.STATE,
+                RobotState(board=BoardReading(depth_m=depth_m, tilt=tilt), timing=JUST_NOW),
+                stamp_ns,
+                robot,
+            )
     statuses = bus.inbox(topics.LOCALIZER, LocalizerStatus)
     for frame_ns in (0, 100 * MS):
         bus.publish(topics.FRAME, Frame(scene.frame(ETA)), frame_ns)

@@ -112,7 +112,7 @@ def test_the_editor_adds_removes_undoes_and_writes_a_commented_file(
         verdict = page.locator(".verdict")
         expect(verdict).to_contain_text("can be flown")
         page.locator(".editor select").first.select_option("waypoints")
-        page.locator(".editor select").nth(1).select_option("column")
+        page.get_by_label("shape").select_option("column")
         expect(page.get_by_label("spacing")).to_have_value("0.8")
         button(page, "Add robot").click()
         button(page, "Add islands").click()

@@ -184,7 +184,7 @@ def test_old_values_are_not_shown_as_live(page: Page, flight: OperatorFlight) ->
 def test_a_formation_is_dragged_and_judged(page: Page) -> None:
     button(page, "Edit").click()
     verdict = page.locator(".verdict")
-    expect(verdict).to_contain_text("can be flown: closest 0.80 m")
+    expect(verdict).to_contain_text("between centres0.80 m")
     middle, scale = map_of(page, 3.5, 2.5)
     place = (middle[0] + (0.45 / 2 + 0.4) * scale, middle[1])  # robot 1's place when the run begins
 
@@ -195,7 +195,7 @@ def test_a_formation_is_dragged_and_judged(page: Page) -> None:
     expect(verdict).to_contain_text("robots 1 and 2: 0.500 m apart")
     page.mouse.move(place[0] + 0.2 * scale, place[1], steps=4)
     page.mouse.up()
-    expect(verdict).to_contain_text(re.compile(r"can be flown: closest (0\.99|1\.0[01]) m"))  # a pixel is 5 mm
+    expect(verdict).to_contain_text(re.compile(r"between centres(0\.99|1\.0[01]) m"))  # a pixel is 5 mm
     page.get_by_label("Name of the new experiment").fill("Not A Name")
     expect(button(page, "Save")).to_be_disabled()
 

@@ -1,8 +1,10 @@
 """Another form forms for on the page, places that are typed, several robots, one clock, and what stays in its place."""
 
 import re
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +14,16 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.web.backend import Status
-from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.experiment import Experiment, load_experiment, with_flight
 from shoal.messages import topics
 from shoal.messages.messages import Event, Mode, Order, RobotState
 from shoal.runtime.runtime import Clock
 from tests.page.elements import button, tile
 from tests.page.lone_station import LoneStation, lone_station
+
+pytestmark = pytest.mark.real_time
+
+MAP = "document.querySelector('.pool canvas').toDataURL()"
 
 
 @pytest.fixture(scope="module")
@@ -35,27 +41,79 @@ def desk(browser: Browser, experiment: Experiment) -> Iterator[LoneStation]:
 
 
 def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStation, experiment: Experiment) -> None:
-    forms: list[str] = []
+    forms, goes_on = list[str](), threading.Event()
 
-    def plan(form: str) -> PlanSegment:
-        forms.append(form)
-        if form.startswith("column"):
+    def plan(order: Order, text: str) -> PlanSegment:
+        forms.append(text)
+        if text.startswith("column"):
             raise PlanError("robot 3: 0.260 m beyond the wall's clearance in y")
+        if text == "line 1.2":
+            goes_on.wait(20.0)
         return first_segment(experiment)
 
-    desk.plan_form = plan  # type: ignore[method-assign]
+    desk.draft = plan  # type: ignore[method-assign]
     page = desk.page
     button(page, "Formation…").click()
+    map_before = page.evaluate(MAP)
     page.get_by_label("Shape of the formation").select_option("column")
     expect(page.get_by_text("beyond the wall's clearance")).to_be_visible()
     expect(button(page, "Fly this form")).to_be_disabled()
     page.get_by_label("Shape of the formation").select_option("line")
     page.get_by_label("spacing, m").fill("1.1")
-    expect(page.get_by_text(re.compile("can be flown: closest"))).to_be_visible()
+    expect(page.get_by_text(re.compile("can be flown"))).to_be_visible()
     assert forms[-1] == "line 1.1" and desk.orders == []
+    page.wait_for_function(f"(before) => {MAP} !== before", arg=map_before)  # the plan is drawn
+    page.get_by_label("spacing, m").fill("1.2")  # what was said of another form is no answer to this one
+    expect(page.get_by_text("asking the planner")).to_be_visible()
+    expect(button(page, "Fly this form")).to_be_disabled()
+    page.get_by_label("spacing, m").fill("1.1")
+    goes_on.set()
     button(page, "Fly this form").click()
     expect(page.locator(".given")).to_contain_text("formation line 1.1 sent")
-    assert desk.orders == [Order.FORMATION] and desk.form == "line 1.1"
+    assert desk.orders == [Order.FORMATION] and desk.text == "line 1.1"
+
+
+def test_another_experiments_path_is_drawn_and_asked_for_by_name_or_as_a_file(
+    desk: LoneStation, experiment: Experiment, tmp_path: Path
+) -> None:
+    page, drafts = desk.page, list[tuple[Order, str]]()
+
+    def plan(order: Order, text: str) -> PlanSegment:
+        drafts.append((order, text))
+        return first_segment(with_flight(experiment, text))
+
+    desk.draft = plan  # type: ignore[method-assign]
+    expect(button(page, "Path…")).to_be_disabled()  # under way
+    desk.own_status = Status(MissionState.PAUSED, "", flown="numeric")
+    button(page, "Path…").click()
+    page.get_by_label("Experiment whose path is flown").select_option("numeric-disturbed")
+    expect(page.get_by_text("can be flown")).to_be_visible()
+    expect(page.get_by_label("Figures of the plan")).to_contain_text("thrust")
+    button(page, "Fly this path").click()
+    expect(page.locator(".given")).to_contain_text("path numeric-disturbed sent")
+    assert desk.orders == [Order.PATH] and with_flight(experiment, desk.text).name == "numeric-disturbed"
+    mine = tmp_path / "mine.toml"
+    mine.write_text('name = "mine"\n[path]\nkind = "circle"\ndiameter_m = 0.5\nlap_s = 60.0\ndepth_m = 0.3\n')
+    button(page, "Path…").click()
+    page.get_by_label("File of an experiment").set_input_files(mine)
+    expect(page.get_by_text("can be flown")).to_be_visible()
+    button(page, "Fly this path").click()
+    expect(page.locator(".given")).to_contain_text("path mine.toml sent")
+    assert drafts[-1] == (Order.PATH, mine.read_text()) and desk.text == mine.read_text()
+
+
+def test_robots_are_given_their_places_and_each_has_one(desk: LoneStation, experiment: Experiment) -> None:
+    page, ids = desk.page, [str(robot) for robot in experiment.robot_ids]
+    desk.own_status = Status(MissionState.WAITING, "")
+    button(page, "Formation…").click()
+    page.get_by_label("Who takes which place").select_option("own")
+    page.get_by_label("Robot at place 1").select_option(ids[1])
+    expect(page.get_by_label("Robot at place 2")).to_have_value(ids[0])
+    desk.draft = lambda order, text: first_segment(experiment)  # type: ignore[method-assign]
+    page.get_by_label("turn, degrees").fill("10")
+    button(page, "Take this form").click()
+    expect(page.locator(".given")).to_contain_text("sent")
+    assert desk.text == f"turn 10 order {','.join([ids[1], ids[0], *ids[2:]])}"
 
 
 def test_places_are_typed_where_nobody_can_click(desk: LoneStation) -> None:
@@ -82,7 +140,7 @@ def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, 
     expect(panel).to_be_visible()
     panel.get_by_role("button", name="Hold 2").click()
     expect(page.locator(".given li")).to_have_count(2)
-    assert desk.orders == [Order.HOLD, Order.HOLD]
+    assert desk.orders == [Order.HOLD, Order.HOLD] and sorted(desk.robots_asked) == sorted([one, two])
 
 
 def test_time_is_that_of_the_flight_and_negative_before_it(desk: LoneStation) -> None:
@@ -101,7 +159,7 @@ def _earlier(clock: Clock, seconds: int) -> int:
 
 
 def test_no_order_changes_its_place_when_others_become_possible(desk: LoneStation) -> None:
-    names = ("Load again", "Return to start", "Rejoin", "Test thrusters", "Go to…", "Formation…", "End run")
+    names = ("Load again", "Return to start", "Rejoin", "Test thrusters", "Go to…", "Formation…", "Path…", "End run")
 
     def places() -> list[object]:
         return [button(desk.page, name).bounding_box() for name in names]
@@ -127,6 +185,6 @@ def test_the_simulation_is_broken_by_a_button_and_real_robots_have_none(browser:
         page.get_by_label("How long it stays broken, s").fill("5")
         button(page, f"Kill thruster {experiment.robot_ids[1]}").click()
         expect(page.locator(".given")).to_contain_text("sent")
-        assert desk.orders == [Order.FAULT] and desk.form == f"thruster {experiment.robot_ids[1]}/3 dead for 5"
+        assert desk.orders == [Order.FAULT] and desk.text == f"thruster {experiment.robot_ids[1]}/3 dead for 5"
         desk.robots.publish(topics.EVENT, Event(2, "sim-bridge", "fault: camera frozen"), desk.clock.now_ns())
         expect(page.locator(".faults h2")).to_contain_text("camera frozen")

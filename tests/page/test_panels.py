@@ -1,14 +1,17 @@
 """The page's panels: alarms, log, map, pictures, runs, plots, and all of them on a phone."""
 
+import csv
 import json
 import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
+import pypdfium2 as pdfium
 import pytest
 from playwright.sync_api import Browser, expect
 
@@ -34,6 +37,7 @@ from tests.page.elements import answer, button, map_of, tile
 from tests.page.flights import PATIENCE_MS, serious
 from tests.page.lone_station import lone_station
 
+FRESH = StepTiming(board_age_ms=20.0)
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
 
@@ -213,13 +217,25 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")
         page.get_by_label("What plot 3 shows").select_option("state.board.loss")  # of before it was asked for, too
         expect(figures.nth(2).locator(".u-legend")).to_contain_text("0.50")
+        with page.expect_download() as download:
+            page.get_by_label(re.compile("Save plot 3")).select_option("svg-1")
+        texts = [node.text or "" for node in ElementTree.parse(download.value.path()).iter("{http://www.w3.org/2000/svg}text")]
+        assert any(text.startswith("time ") and text.endswith("[s]") for text in texts) and "robot 1" in texts
+        with page.expect_download() as download:
+            page.get_by_label(re.compile("Save plot 3")).select_option("csv")
+        rows = list(csv.reader(download.value.path().read_text(encoding="utf-8").splitlines()))
+        assert any(row[1] == "0.5" for row in rows) and len({len(row) for row in rows}) == 1
+        with page.expect_download() as download:
+            page.get_by_label(re.compile("Save plot 3")).select_option("pdf-2")
+        assert pdfium.PdfDocument(download.value.path().read_bytes())[0].get_width() == 520
+        assert download.value.suggested_filename.endswith("-2col.pdf")
         page.get_by_label("Layouts of the plots").select_option("+")
         page.get_by_label("Name of this layout").locator("input").fill("mine")
         answer(page, "Save")
         page.goto(f"{desk.url}?plots=tracking")
         page.get_by_label("Layouts of the plots").select_option("=mine")
         expect(page.get_by_label("What plot 3 shows")).to_have_value("state.board.loss")
-        desk.robots.publish(topics.STATE, RobotState(board=BoardReading(loss=0.25)), time.time_ns(), 1)
+        desk.robots.publish(topics.STATE, RobotState(board=BoardReading(loss=0.25), timing=FRESH), time.time_ns(), 1)
         expect(tile(page, 1)).to_contain_text("25 %")
         expect(tile(page, 1)).not_to_contain_text("thrust")  # it learns nothing
 

@@ -7,14 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.planning.segment import first_segment
 from robot_agent.agent import Agent
+from robot_agent.guidance.trajectory_clock import TrajectoryClock
 from robot_agent.inputs import Inputs
-from robot_agent.preflight.rehearsal import ARM_AFTER, rehearse
+from robot_agent.preflight.rehearsal import ARM_AFTER, STATION, rehearse
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Control, Mode, Solve, is_finite, required
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Control, Mode, Order, Solve, is_finite, required
 
 NEUTRAL_US = (1500,) * 4
 POOL = load_experiment("pool")
+VECTORED = load_experiment("straight", ["vehicle=vectored", "sim.sensors.battery_v=15.5"])
 
 
 def flying() -> tuple[Agent, Inputs, int]:
@@ -52,6 +56,39 @@ def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pyte
     monkeypatch.undo()
     outputs = agent.step(inputs, now_ns + 50_000_000)
     assert (outputs.state.mode, outputs.state.fault) == (Mode.FAULT, "no control solution")
+
+
+def test_a_trajectory_is_judged_beside_the_steps_and_not_again_in_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent, inputs, now_ns = next(rehearse(POOL, 1))
+    path, hash_ = first_segment(POOL).trajectories[1], agent.step(inputs, now_ns).state.experiment_hash
+    away = replace(path, eta=path.eta + 9.0)
+    loads = [Command(Order.LOAD, 1, experiment_hash=hash_, trajectory_id=it.id, trajectory=it) for it in (path, away)]
+    prepared = [agent.prepare(load) for load in loads]
+    assert prepared == ["", "trajectory.eta leaves the pool at 0.00 s"]
+    monkeypatch.setattr(TrajectoryClock, "flaw", lambda *_: pytest.fail("judged again while a step waits"))
+    replies = [
+        agent.handle_command(Header(STATION, 1000 + k, now_ns), load, inputs.station, now_ns, prepared[k])
+        for k, load in enumerate(loads)
+    ]
+    assert [reply.reason for reply in replies] == ["", prepared[1]]
+
+
+def test_an_invalid_step_keeps_the_goal_of_the_step_before_and_the_shape_of_its_wrenches(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a vehicle with side thrust."""
+    steps = rehearse(VECTORED, 1)
+    for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 20):
+        before = agent.step(inputs, now_ns).state.control
+    real = agent.controller.step
+    monkeypatch.setattr(agent.controller, "step", lambda *arguments: real(*arguments)._replace(tracking_error_m=np.nan))
+    _, inputs, now_ns = next(steps)
+    control = required(agent.step(inputs, now_ns).state.control)
+    assert control.solve is Solve.FAILED and before is not None and required(before).solve is Solve.SOLVED
+    np.testing.assert_array_equal(control.eta_reference, before.eta_reference)
+    np.testing.assert_array_equal(control.eta_command, before.eta_command)
+    for wrench in (control.wrench, control.wrench_step, control.wrench_wanted, control.wrench_delivered):
+        np.testing.assert_array_equal(wrench, np.zeros(4))
 
 
 def test_a_depth_offset_is_taken_off_everywhere() -> None:

@@ -1,5 +1,7 @@
-"""A robot's real program ends, asked to or not, with the simulator's board at the other end of its link: neutral and disarmed
-at once, and by its agent's word, not for want of pulses."""
+"""A robot's real program leaves its board neutral and disarmed at once, whether it is asked to end or not.
+
+By its agent's word, not for want of pulses; the simulator's board is at the other end of its link.
+"""
 
 import signal
 import subprocess

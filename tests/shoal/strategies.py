@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from shoal.messages import codec
 from shoal.messages.messages import Event, Frame, Message, Picture, Preview, Video
+from shoal.messages.schema import may_be_absent, present_type
 
 CLASSES: tuple[type, ...] = get_args(Message)
 FOREIGN = (Frame, Preview, Video, Picture, Event)
@@ -43,8 +44,8 @@ def _field(hint: Any, field: dataclasses.Field[Any], kind: int, rows: int) -> st
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
         return st.sampled_from(hint)
     simple: dict[Any, st.SearchStrategy[Any]] = {float: floats, bool: st.booleans(), str: st.text()}
-    if hint in simple:
-        return simple[hint]
+    if present_type(hint) in simple:
+        return simple[present_type(hint)] | (st.none() if may_be_absent(hint) else st.nothing())
     if get_args(hint)[:1] == (str,):
         return st.lists(st.text(), max_size=8).map(tuple)
     integers = st.integers(*_LIMITS[kind])
@@ -94,7 +95,7 @@ def example(cls: Any) -> Any:
         elif isinstance(hint, type) and issubclass(hint, enum.Enum):
             values[field.name] = list(hint)[-1]
         else:
-            values[field.name] = {float: number + 0.5, bool: True, str: f"text {number}", int: number}[hint]
+            values[field.name] = {float: number + 0.5, bool: True, str: f"text {number}", int: number}[present_type(hint)]
     return cls(**values)
 
 

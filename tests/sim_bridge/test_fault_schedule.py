@@ -18,7 +18,7 @@ from shoal.messages.messages import Event
 from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.fault_schedule import FaultSchedule, LinkFaults, faults_after_the_end, require_kinds
+from sim_bridge.fault_schedule import FaultSchedule, ImuFaults, LinkFaults, faults_after_the_end, require_kinds
 from sim_bridge.in_process.resume import faults_by_hand
 from sim_bridge.node.board_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
@@ -87,9 +87,31 @@ def test_broken_imu_gives_its_faulty_samples() -> None:
     experiment = load_experiment("pool")
     still = np.zeros(4)
     whole, broken = (BoardSensors(experiment, 1, 1) for _ in range(2))
-    broken.error = (0.5, -0.1)
+    broken.faults = ImuFaults(0.5, -0.1)
     a, b = whole.read(still, still, still), broken.read(still, still, still)
     assert (b.heading_rad - a.heading_rad, b.yaw_rate_radps - a.yaw_rate_radps) == pytest.approx((0.5, -0.1))
+
+
+@pytest.mark.parametrize(
+    ("whats", "rate_radps", "force_mps2"),
+    [
+        (("imu 1 scaled",), 0.0, (0.0, 0.0, -9.81)),
+        (("imu 1 scaled -1", "imu 1 gyro 0.1"), -0.3, (0.0, 0.0, -9.81)),
+        (("imu 1 turned 3.1415926",), -0.4, (0.0, 0.0, 9.81)),
+        (("imu 1 turned 1.5707963",), 0.0, (0.0, -9.81, 0.0)),
+        (("imu 1 stuck",), 0.0, (0.0, 0.0, 0.0)),  # nothing was measured before
+    ],
+)
+def test_imu_faults_change_what_is_measured_of_a_turn(
+    whats: tuple[str, ...], rate_radps: float, force_mps2: tuple[float, float, float]
+) -> None:
+    experiment = load_experiment("pool", [], [f"t=0 {what}" for what in whats])
+    schedule, sensors, still = FaultSchedule(experiment), BoardSensors(experiment, 1, 1), np.zeros(4)
+    schedule.at(0.0)
+    sensors.faults = schedule.imu[0]
+    reading = sensors.read(still, np.array([0.0, 0.0, 0.0, 0.4]), still)
+    assert reading.yaw_rate_radps == pytest.approx(rate_radps, abs=0.02)
+    assert reading.acceleration_mps2 == pytest.approx(force_mps2, abs=0.1)
 
 
 # --- camera
@@ -197,20 +219,31 @@ def test_a_fault_after_the_end_is_told_to_never_happen() -> None:
 
 
 def test_a_fault_made_by_hand_holds_from_then_on_and_is_reported_as_a_command_line() -> None:
+    """The plant is two seconds older than the robots' flight."""
     experiment = load_experiment("pool", faults=["t=1 thruster 1/1 weak 0.5"])
     schedule = FaultSchedule(experiment)
-    schedule.at(5.0)
-    assert schedule.add("thruster 2/3 dead", 0.0, 5.0) == "t=5.000 thruster 2/3 dead"
-    assert schedule.add("water gust 0.04", 2.0, 5.0) == "t=5.000 for=2 water gust 0.04"
-    assert schedule.add("ball 0.5,-1 drops", 0.0, 5.0) == "t=5.000 ball 0.5,-1 drops"
-    assert schedule.at(5.0) == ["fault: thruster 2/3 dead", "fault: water gust 0.04", "fault: ball 0.5,-1 drops"]
+    schedule.at(5.0, 7.0)
+    assert schedule.add("thruster 2/3 dead", 0.0, 5.0, 7.0) == "t=5.000 thruster 2/3 dead"
+    assert schedule.add("water gust 0.04", 2.0, 5.0, 7.0) == "t=5.000 for=2 water gust 0.04"
+    assert schedule.add("ball 0.5,-1 drops", 0.0, 5.0, 7.0) == "t=5.000 ball 0.5,-1 drops"
+    assert schedule.at(5.0, 7.0) == ["fault: thruster 2/3 dead", "fault: water gust 0.04", "fault: ball 0.5,-1 drops"]
     assert (schedule.actuators.thrust[1, 2], schedule.gust_mps) == (0.0, 0.04)
     assert schedule.balls[0].start_m == (0.5, -1.0, experiment.path.depth_m)
-    assert schedule.quiet_steps(6.0, 0.1, 1000) == 10
-    assert schedule.at(7.0) == ["fault over: water gust 0.04"]
-    assert schedule.add("", 0.0, 9.0).startswith("mended at 9.000 s: thruster 2/3 dead; ")
-    assert schedule.at(9.0) == ["fault over: thruster 2/3 dead", "fault over: ball 0.5,-1 drops"]
+    assert schedule.quiet_steps(6.0, 0.1, 1000, 8.0) == 10
+    assert schedule.at(7.0, 9.0) == ["fault over: water gust 0.04"]
+    assert schedule.add("", 0.0, 9.0, 11.0) == "mended at 9.000 s: thruster 2/3 dead; mended at 9.000 s: ball 0.5,-1 drops"
+    assert schedule.at(9.0, 11.0) == ["fault over: thruster 2/3 dead", "fault over: ball 0.5,-1 drops"]
     assert schedule.actuators.thrust[0, 0] == 0.5  # what the file breaks stays broken
+
+
+def test_a_fault_by_hand_is_over_in_time_also_before_the_robots_start() -> None:
+    world = World(load_experiment("pool", CALM), 1, APART, held=True)
+    assert world.break_by_hand("battery 1 sag 2", 5.0) == "before the start for=5 battery 1 sag 2"
+    texts = []
+    while world.now_ns < 6_000_000_000:
+        texts += [(text, round(world.now_ns * 1e-9, 2)) for text in world.apply_faults()]
+        world.step()
+    assert texts == [("fault: battery 1 sag 2", 0.0), ("fault over: battery 1 sag 2", 5.0)]
 
 
 @pytest.mark.parametrize(
@@ -222,11 +255,18 @@ def test_a_fault_made_by_hand_holds_from_then_on_and_is_reported_as_a_command_li
         ("water low", "only by the timeline"),
         ("marker 1 lost for ever", "must be seconds"),
         ("ball here drops", "must read: ball X,Y"),
+        ("camera north dark", "no camera 'north' .allowed: east, west"),
     ],
 )
 def test_a_fault_by_hand_that_cannot_be_is_refused_with_what_can(text: str, why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        read_request(text, (1, 2))
+        read_request(text, (1, 2), ("east", "west"))
+
+
+@pytest.mark.parametrize("text", ["camera dark", "marker 1 lost for 5"])
+def test_without_a_camera_nothing_that_only_one_sees_is_broken(text: str) -> None:
+    with pytest.raises(ValueError, match="no camera sees it in this run"):
+        read_request(text, (1, 2), uses_camera=False)
 
 
 def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: Path) -> None:
@@ -234,10 +274,17 @@ def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: 
         "by hand: t=3.100 thruster 1/2 weak 0.4",
         "by hand: t=4.000 for=2 imu 2 gyro 0.1",
         "by hand: t=5.000 camera frozen",  # a flight without camera cannot have it
-        "by hand: mended at 9.500 s: thruster 1/2 weak 0.4; mended at 9.500 s: camera frozen",
+        "by hand: t=6.000 for=20 thruster 1/4 dead",
+        "by hand: before the start for=5 battery 1 sag 2",  # none of the flight's
+        "by hand: mended at 9.500 s: thruster 1/2 weak 0.4; mended at 9.500 s: camera frozen; "
+        "mended at 9.500 s: thruster 1/4 dead",
     ]
     recorder = Recorder(tmp_path / "run.mcap", "name = 'pool'\n", {})
     for k, line in enumerate(lines, start=1):
         recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
     recorder.close()
-    assert faults_by_hand(tmp_path) == ["t=4.000 for=2 imu 2 gyro 0.1", "t=3.100 for=6.400 thruster 1/2 weak 0.4"]
+    assert faults_by_hand(tmp_path) == [
+        "t=3.100 for=6.4 thruster 1/2 weak 0.4",
+        "t=4.000 for=2 imu 2 gyro 0.1",
+        "t=6.000 for=3.5 thruster 1/4 dead",
+    ]

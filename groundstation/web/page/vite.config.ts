@@ -3,12 +3,14 @@ import { readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { defineConfig, type Plugin } from "vite";
 
+const PAPER = "../../report/templates/paper.js"; // figures for a paper are drawn by what reports have for it
+
 /** Every file that the build depends on, in the order of their names. */
 function sources(): string[] {
   const inside = readdirSync("src", { recursive: true, withFileTypes: true })
     .filter((entry) => entry.isFile())
     .map((entry) => join(entry.parentPath, entry.name).replaceAll("\\", "/"));
-  return ["index.html", "package-lock.json", "package.json", "setup.html", "tsconfig.json", "vite.config.ts", ...inside].sort();
+  return ["index.html", "package-lock.json", "package.json", "setup.html", "tsconfig.json", "vite.config.ts", ...inside].sort().concat(PAPER);
 }
 
 /** Writes into the build which sources it was made from: tests/page/test_build.py compares, without Node. */

@@ -14,12 +14,14 @@ from groundstation.analysis.comparison import settled
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import WHOLE_RUN, Result
 from groundstation.logs.reader import DecodedMessage, RunLog, read_log
+from groundstation.logs.recorder import Recorder
 from groundstation.mission.state_machine import MissionState
 from groundstation.report.report import write_report
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
-from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Event, Mode, RobotState, StationHeartbeat, Trajectory
 from tests.groundstation.synthetic import PERIOD_S, START_S, Script, write_run
 
 SECOND = 1_000_000_000
@@ -386,3 +388,34 @@ def test_a_clock_is_not_invented_across_a_gap_of_the_log(flown: tuple[Experiment
     has_error = np.isfinite(series.robots[2].error[:, 0])
     out = (series.time_s > 2.06) & (series.time_s < 3.94)
     assert not has_error[out].any() and has_error[series.time_s < 1.94].all() and has_error[series.time_s > 4.06].all()
+
+
+@pytest.mark.parametrize("behind_s", [0.0, 7200.0])
+def test_lines_of_an_earlier_run_that_a_robot_has_kept_are_none_of_a_later_one(tmp_path: Path, behind_s: float) -> None:
+    """A robot's program outlives the station's, and a new station gets the last lines of its log. Its clock may be behind."""
+    experiment, zero = load_experiment("pool"), 1_700_000_000 * SECOND
+    recorder = Recorder(tmp_path / "run.mcap", dump_experiment(experiment), {"mode": "real-time"})
+    behind = round(behind_s * SECOND)
+
+    def line(number: int, text: str, level: int, stamp_ns: int, arrived_ns: int) -> None:
+        recorder.put(
+            topics.EVENT,
+            "shoal/event",
+            Header(11, number, stamp_ns - behind),
+            encode(Event(level, "agent-1", text)),
+            arrived_ns,
+        )
+
+    for number, text in enumerate(("holding: pose late", "fault: no pose"), start=1):  # of an hour ago
+        line(number, text, 3, zero - 3600 * SECOND, zero + SECOND)
+    for k in range(200):
+        now_ns, state = zero + k * SECOND // 20, encode(RobotState(experiment_hash=experiment.hash))
+        recorder.put(topics.STATE, "shoal/robot/1/state", Header(11, k + 1, now_ns - behind), state, now_ns + 2_000_000)
+    line(3, "LOAD: accepted", 2, zero + 5 * SECOND, zero + 5 * SECOND + 1_000_000)
+    recorder.close()
+    log = read_log(tmp_path / "run.mcap")
+    series = align(experiment, log)
+    result = evaluate(series, log)
+    assert [event.text for event in series.timeline_events] == ["disarmed", "LOAD: accepted"]
+    assert series.timeline_events[1].time_s == pytest.approx(5.0, abs=0.01)
+    assert (result.faults, result.verdict) == ((), "not judged")

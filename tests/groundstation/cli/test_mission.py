@@ -5,12 +5,15 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from groundstation import client
+from groundstation.__main__ import cli
 from groundstation.cli.mission import OutcomePrinter
 from groundstation.client import follow
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.errors import ConfigError
 from shoal.messages.messages import Command, Order, Outcome, Progress, Reply
 
 SILENT = Reply(0, False, "no answer within 2 s", silent=True)
@@ -107,6 +110,18 @@ def test_the_exit_code_and_the_last_lines_say_what_was_achieved(
     output = json.loads(capsys.readouterr().out)
     assert output["done"] is (code == 0)
     assert output["robots"].get("2", "confirmed") == ("not heard" if "NOT" in "".join(lines) else "confirmed")
+
+
+def test_the_plan_of_another_path_is_printed_before_it_is_asked_for() -> None:
+    """Starts, clearances, speeds and forces, and no station is asked; what cannot be flown is refused with its reason."""
+    shown = CliRunner().invoke(cli, ["mission", "load", "pool", "--dry-run"])
+    lines = shown.output.splitlines()
+    assert shown.exit_code == 0 and lines[1].startswith("robot 1 starts at x ") and lines[2].startswith("robot 2 starts at x ")
+    assert any(line.startswith("between centres ") for line in lines) and any(line.startswith("thrust ") for line in lines)
+    refused = CliRunner().invoke(cli, ["mission", "load", "pool", "--set", "path.lap_s=1", "--dry-run"])
+    assert isinstance(refused.exception, ConfigError) and "exceeds the limit" in str(refused.exception)
+    alone = CliRunner().invoke(cli, ["mission", "load", "--dry-run"])
+    assert alone.exit_code == 2 and "go with an experiment" in alone.output
 
 
 def test_a_request_that_does_not_wait_is_told_no_more_than_taken(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import stat
 import subprocess
 import sys
@@ -24,6 +25,8 @@ from groundstation.deploy.manifest import Probe, Target
 from groundstation.deploy.ssh import DeployRequest, deploy_one
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
+from shoal.kernels import cache as kernel_cache
+from shoal.kernels.build import ensure_compiled
 from shoal.runtime.version import PACKAGES
 from sim_bridge.sil.ports import free_port
 from tests.ssh_server import WITH_PACKAGES, own_wheel, ssh_command, ssh_server
@@ -132,6 +135,9 @@ def test_without_keys_a_board_is_not_sent_where_others_are(tmp_path: Path) -> No
 
 # --- the whole
 
+# A board that has the kernels, too: robot-agent compiles them in a minute (tests/shoal/kernels/test_build.py).
+WITH_KERNELS = {**WITH_PACKAGES, "NUMBA_CACHE_DIR": "{tmp}/kernels"}
+
 
 @dataclass
 class SshBoard:
@@ -155,6 +161,9 @@ def board(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[SshBoard]:
     port = free_port()
     ssh = ssh_command(tmp_path, port)
     environment = {key: value.format(tmp=tmp_path) for key, value in getattr(request, "param", {}).items()}
+    if "NUMBA_CACHE_DIR" in environment:
+        ensure_compiled(("robot_agent",))
+        shutil.copytree(kernel_cache.folder(), Path(environment["NUMBA_CACHE_DIR"]) / "shoal-kernels")
     with ssh_server(tmp_path, "localhost", port, environment):
         yield SshBoard(tmp_path / "opt" / "shoal", ssh, port)
 
@@ -182,7 +191,7 @@ def ring(tmp_path: Path) -> Path:
     return tmp_path / "keys"
 
 
-@pytest.mark.parametrize("board", [WITH_PACKAGES], indirect=True)
+@pytest.mark.parametrize("board", [WITH_KERNELS], indirect=True)
 def test_a_bare_board_is_brought_up_to_date_and_then_left_alone(board: SshBoard, ring: Path, wheels: Path) -> None:
     would = deployed(board, ring, wheels, "--dry-run")
     assert row(would)[2:] == ["software, keys, experiment, settings", "", "not touched"]

@@ -22,6 +22,7 @@ from shoal.messages.messages import (
     Pose,
     Reply,
     RobotState,
+    StepTiming,
     Track,
     Trajectory,
 )
@@ -44,6 +45,7 @@ class ObedientRobot:
     test: str = ""
     tuning_id: str = ""
     eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    surge_mps: float = 0.0
     age_s: float = 0.02
     fault: str = ""
     trajectory_s: float = 0.0
@@ -91,7 +93,8 @@ class ObedientRobot:
             tuning_id=self.tuning_id,
             blind=self.blind,
             board=BoardReading(battery_v=self.battery_v),
-            estimate=Estimate(eta=np.array(self.eta)),
+            timing=StepTiming(board_age_ms=20.0),
+            estimate=Estimate(eta=np.array(self.eta), nu=np.array([self.surge_mps, 0.0, 0.0, 0.0])),
             control=Control() if self.mode in LIVE else None,
         )
         if self.unknown:

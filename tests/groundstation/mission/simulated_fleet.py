@@ -22,12 +22,12 @@ from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.telemetry import RobotView
-from robot_agent.agent import begins_ns, unacceptable
+from robot_agent.agent import unacceptable
 from robot_agent.guidance.reference import pose_at
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
 from robot_agent.inputs import StationView
 from robot_agent.safety.modes import LIVE, ORDERS, POWERED, Health, react, refusal
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.frames import Array
 from shoal.messages.codec import Header
 from shoal.messages.live_gains import tuning
@@ -56,6 +56,26 @@ SPEED_MPS = 0.35  # of a robot on its way to its reference
 TEST_NS = 2_000_000_000  # duration of a thruster test
 SESSION = 7  # of the station
 POSE = Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True)
+
+TWO = "[{id=1,node_m=[0.5,0.0,0.0],neighbours=[2]},{id=2,node_m=[-0.5,0.0,0.0],neighbours=[1]}]"
+THREE = (
+    "[{id=1,node_m=[0.0,0.0,0.0],neighbours=[2]},{id=2,node_m=[0.9,0.0,0.0],neighbours=[1,3]},"
+    "{id=3,node_m=[-0.9,0.0,0.0],neighbours=[2]}]"
+)
+CIRCLE = '{kind="circle",lap_s=20,diameter_m=0.8,depth_m=0.5}'
+PLACES = '{kind="waypoints",points_m=[[-1.2,-0.6],[1.2,-0.6],[1.2,0.6],[-1.2,0.6]],speed_mps=0.1,depth_m=0.5}'
+
+
+def an_experiment(lost: str, robots: str, path: str, duration_s: int = 50) -> Experiment:
+    """Robots in a pool with room to be led away."""
+    return load_experiment(
+        "pool",
+        [
+            f"duration_s={duration_s}", f"path={path}", "pool.size_m=[7.0,5.0,1.0]",
+            f"robots={robots}", f'mission.lost="{lost}"', "mission.wait_from_m=0.1",
+            "article=[]", NO_CAMERA,
+        ],
+    )  # fmt: skip
 
 
 @dataclass
@@ -109,7 +129,7 @@ class SimulatedRobot:
         """Carry out a command, or refuse it, as robot_agent/agent.py does."""
         station = self.view_of_station(now_ns)
         reason = unacceptable(self.id, self._experiment.hash, Header(SESSION, 0, stamp_ns), command, station)
-        begin_ns = begins_ns(Header(SESSION, 0, stamp_ns), command)
+        begin_ns = command.start_ns
         reason = reason or refusal(command.order, self.mode)
         reason = reason or self.clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, self.eta)
         if not reason and command.order is Order.ARM and not self.board_works:

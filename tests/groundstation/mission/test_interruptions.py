@@ -25,11 +25,20 @@ from groundstation.mission.state_machine import (
     order_named,
     rejection_reason,
 )
-from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.messages.messages import DriveVelocity, Mode, Order
 from tests.groundstation.mission.invariants import STOPPED_WITHIN_S, Invariants
 from tests.groundstation.mission.judged_run import RunRecord
-from tests.groundstation.mission.simulated_fleet import SPEED_MPS, Driving, SimulatedFleet, armed
+from tests.groundstation.mission.simulated_fleet import (
+    CIRCLE,
+    PLACES,
+    SPEED_MPS,
+    THREE,
+    TWO,
+    Driving,
+    SimulatedFleet,
+    an_experiment,
+    armed,
+)
 
 PEOPLE = ("page A", "page B", "terminal", "script")
 KEY = "controller.nmpc.turning_m"
@@ -38,26 +47,7 @@ MIDDLES_M = ((0.8, 0.4), (-0.8, 0.4), (1.4, -0.6), (-1.2, -0.8))  # for the form
 OUTAGES_S = (0.1, 0.4, 1.0, 2.5, 5.0, 20.0)
 ENDS = (Order.DISARM, Order.END, Order.STOP)
 FLEET_ORDERS = [order_named(name) for name in FLEET_REQUESTS]
-TWO = "[{id=1,node_m=[0.5,0.0,0.0],neighbours=[2]},{id=2,node_m=[-0.5,0.0,0.0],neighbours=[1]}]"
-THREE = (
-    "[{id=1,node_m=[0.0,0.0,0.0],neighbours=[2]},{id=2,node_m=[0.9,0.0,0.0],neighbours=[1,3]},"
-    "{id=3,node_m=[-0.9,0.0,0.0],neighbours=[2]}]"
-)
-CIRCLE = '{kind="circle",lap_s=20,diameter_m=0.8,depth_m=0.5}'
-PLACES = '{kind="waypoints",points_m=[[-1.2,-0.6],[1.2,-0.6],[1.2,0.6],[-1.2,0.6]],speed_mps=0.1,depth_m=0.5}'
 SAMPLED = 12  # one in so many arrivals in a state of the mission is followed by a STOP, beside what goes on
-
-
-def an_experiment(lost: str, robots: str, path: str, duration_s: int = 50) -> Experiment:
-    """Robots in a pool with room to be led away."""
-    return load_experiment(
-        "pool",
-        [
-            f"duration_s={duration_s}", f"path={path}", "pool.size_m=[7.0,5.0,1.0]",
-            f"robots={robots}", f'mission.lost="{lost}"', "mission.wait_from_m=0.1",
-            "article=[]", NO_CAMERA,
-        ],
-    )  # fmt: skip
 
 
 class Interruptions(RuleBasedStateMachine):
@@ -362,13 +352,13 @@ class Interruptions(RuleBasedStateMachine):
 
 @pytest.mark.long
 def test_any_order_of_requests_and_mishaps() -> None:
-    """Eighty examples at least, and more until they have led everywhere."""
+    """Fifty examples at least, and more until they have led everywhere."""
     Interruptions.arrivals.clear()
     never = list(MissionState)
-    for number in range(6):
+    for number in range(10):
         run_state_machine_as_test(
             seed(number)(Interruptions),
-            settings=settings(max_examples=40, stateful_step_count=40, deadline=None, derandomize=False, database=None),
+            settings=settings(max_examples=25, stateful_step_count=40, deadline=None, derandomize=False, database=None),
         )
         never = [state for state in MissionState if state not in Interruptions.arrivals]
         if number > 0 and not never:

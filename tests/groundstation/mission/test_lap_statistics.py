@@ -56,3 +56,15 @@ def test_a_robot_that_joins_late_makes_no_lap_shorter() -> None:
     first, second = laps.laps()
     assert first.time_s == pytest.approx(LAP_S, abs=0.11)
     assert second.time_s == pytest.approx(8.5, abs=0.11)
+
+
+def test_an_error_that_is_not_known_is_left_out_and_the_time_is_not() -> None:
+    laps = LapStatistics(LAP_S)
+    for k in range(1, 191):
+        if k % 3:
+            note(laps, {1: 0.05 * k}, 0.02)
+        else:
+            laps.update({1: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=0.05 * k, control=Control())})
+    (lap,) = laps.laps()
+    assert lap.rms_m == pytest.approx(0.02)
+    assert lap.time_s == pytest.approx(9.45, abs=0.06)

@@ -1212,6 +1212,30 @@ def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() 
     assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
 
 
+@pytest.mark.parametrize("after", ["test", "stop", "armed alone"])
+def test_a_failure_after_a_run_leaves_its_verdict(after: str) -> None:
+    run = MissionRun(automatic=False)
+    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    run.step(6.0)
+    assert run.at(MissionState.DONE)
+    ends = MissionState.FAILED
+    if after == "test":
+        assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+        run.robots[2].silent = True
+    else:
+        assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
+        run.step(0.5)
+        run.robots[2].silent = after == "stop"
+        assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    if after == "armed alone":
+        run.step(1.0)
+        run.robots[1].mode, ends = Mode.ARMED, MissionState.CANCELLED
+        assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(30.0)
+    assert run.at(ends)
+    assert run.mission.verdict is MissionState.DONE
+
+
 def test_hold_while_planning_leaves_out_a_robot_that_is_disarmed() -> None:
     """It was to be armed for the plan, and cannot hold."""
     run = three_running("go-on")
@@ -1256,8 +1280,8 @@ def test_another_form_is_planned_in_flight_and_flown_once_all_have_it() -> None:
     run = MissionRun(settings=['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'])
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    assert "'trinagle': must read" in run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, form="trinagle 1")
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, form="line 1.0") == ""
+    assert "'trinagle': must read" in run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="trinagle 1")
+    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     assert run.at(MissionState.SWITCHING)
     request = run.mission.plan_request
     assert request is not None
@@ -1273,7 +1297,7 @@ def test_a_form_that_cannot_be_flown_leaves_the_formation_in_its_own() -> None:
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     before = run.mission.segment
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, form="line 1.0") == ""
+    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     run.mission.planned(PlanError("robot 1: too fast"), run.fleet(), run.now_ns)
     assert run.at(MissionState.RUNNING)
     assert run.mission.segment is before
@@ -1286,7 +1310,7 @@ def test_from_a_hold_another_form_is_planned_from_rest_and_then_flown() -> None:
         run.step()
     assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
     run.step(0.3)
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, form="line 1.0") == ""
+    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     run.step(0.3)
     assert run.at(MissionState.HALTING)
     assert run.mission.plan_request is not None and run.mission.plan_request.name == "from rest"

@@ -8,13 +8,15 @@ import pytest
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainStage, GainStatus
-from groundstation.mission.request_progress import GOALS, KEPT, RequestTracker
+from groundstation.mission.mission import OTHER_FLIGHTS
+from groundstation.mission.request_progress import GOALS, KEPT, PLANNED_AT_REST, RequestTracker
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import TRANSITIONS, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from shoal.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Trajectory, Tuning
 from tests.groundstation.mission.mission_run import MissionRun
+from tests.groundstation.mission.simulated_fleet import PLACES, THREE, SimulatedFleet, an_experiment
 
 FLOWN, WANTED = Tuning("flown"), Tuning("wanted")
 
@@ -59,7 +61,8 @@ def test_every_request_that_the_mission_takes_leads_somewhere() -> None:
     assert {row.cause for row in TRANSITIONS if isinstance(row.cause, Order)} | {Order.END} == set(GOALS)
     for row in TRANSITIONS:
         if isinstance(row.cause, Order):
-            assert row.to in GOALS[row.cause].through | GOALS[row.cause].to, row
+            goal = PLANNED_AT_REST if row.to is MissionState.WAITING and row.cause in OTHER_FLIGHTS else GOALS[row.cause]
+            assert row.to in goal.through | goal.to, row
 
 
 def test_a_request_is_done_when_every_robot_has_done_it() -> None:
@@ -74,6 +77,35 @@ def test_a_request_is_done_when_every_robot_has_done_it() -> None:
         lab.step(1.5)
         result = lab.outcome(number)
         assert (result.progress, result.confirmed, result.waiting) == (Progress.DONE, (1, 2), ()), order
+
+
+def test_hold_is_done_when_every_robot_rests_in_its_place_and_in_waves_after_a_while() -> None:
+    """A robot that holds still brakes from its speed, and comes back to its place: a script goes on when it has."""
+    lab = Asked()
+    lab.fly()
+    slow, fast = lab.run.robots.values()
+    fast.surge_mps = 0.19
+    number = lab.ask(Order.HOLD)
+    lab.step(1.0)
+    result = lab.outcome(number)
+    assert (result.progress, result.confirmed, result.waiting) == (Progress.UNDER_WAY, (1,), (2,))
+    assert result.why == ("is holding, not yet at rest",)
+    fast.surge_mps, fast.eta = 0.0, (0.1, 0.0, 0.0, 0.0)  # it turns round beside its place
+    lab.step(0.5)
+    assert lab.progress(number) is Progress.UNDER_WAY
+    fast.eta = (0.01, 0.0, 0.0, 0.0)
+    lab.step(0.1)
+    assert lab.progress(number) is Progress.DONE
+
+    slow.surge_mps = 0.05  # waves
+    resumed = lab.ask(Order.RESUME)
+    lab.step(2.0)
+    assert lab.progress(resumed) is Progress.DONE
+    again = lab.ask(Order.HOLD)
+    lab.step(7.5)
+    assert lab.progress(again) is Progress.UNDER_WAY
+    lab.step(1.0)
+    assert lab.progress(again) is Progress.DONE
 
 
 def test_a_stop_is_confirmed_robot_by_robot() -> None:
@@ -264,6 +296,54 @@ def test_a_return_without_one_robot_fails_and_names_it(fit: bool) -> None:
         return
     assert (result.progress, result.confirmed, result.waiting) == (Progress.FAILED, (1,), (2,))
     assert result.reason.startswith("robot 2 is left out: pose is MARKER, identity not verified")
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_form_is_done_only_when_it_is_flown_also_where_a_gap_closes_meanwhile(held: bool) -> None:
+    """A robot is lost while another form is planned, and the others close up: into the form that was asked for."""
+    fleet = SimulatedFleet(an_experiment("close-up", THREE, PLACES))
+
+    def ask(order: Order, form: str = "") -> int:
+        reason, number = fleet.core.request(order, fleet.fleet, fleet.now_ns, text=form)
+        assert not reason, reason
+        return number
+
+    def apart_m() -> float:
+        return float(np.linalg.norm(fleet.robots[1].eta[:3] - fleet.robots[2].eta[:3]))
+
+    fleet.run(1.0)
+    ask(Order.START)
+    fleet.run(6.0)
+    assert fleet.mission.state.name == "RUNNING" and apart_m() == pytest.approx(0.9, abs=0.05)
+    if held:
+        ask(Order.HOLD)
+        fleet.run(3.0)
+    fleet.robots[3].alive = False
+    fleet.run(0.2)  # not noticed yet
+    number = ask(Order.FORMATION, "line 1.2")
+    while (outcome := fleet.core.requests.outcome(number)) is not None and outcome.progress is Progress.UNDER_WAY:
+        fleet.step()
+    assert outcome is not None and outcome.progress is Progress.DONE and outcome.confirmed == (1, 2), outcome
+    fleet.run(24.0)  # over the transfers, on which their distance changes
+    assert fleet.mission.state.name == "DEGRADED" and apart_m() == pytest.approx(1.2, abs=0.05)
+
+
+def test_a_rejoin_fails_when_its_robot_is_lost_again() -> None:
+    lab = Asked(MissionRun(automatic=False, settings=["duration_s=60", "mission.lost=go-on"]))
+    lab.fly()
+    lab.run.robots[2].silent = True
+    lab.step(0.5)
+    lab.run.robots[2].silent = False
+    lab.step(0.2)
+    number = lab.ask(Order.REJOIN)
+    lab.step(0.2)
+    lab.run.robots[2].silent = True
+    lab.step(0.3)
+    lab.run.mission.planned(replace(lab.run.mission.segment), lab.run.fleet(), lab.run.now_ns)
+    lab.step(2.0)
+    result = lab.outcome(number)
+    assert (result.progress, result.confirmed, result.waiting) == (Progress.FAILED, (1,), (2,))
+    assert result.reason == "robot 2 is left out: silent"
 
 
 def test_a_disarm_that_a_robot_cannot_confirm_any_more_fails_with_its_reason() -> None:

@@ -208,6 +208,21 @@ def test_a_robot_sent_to_a_place_holds_plans_flies_and_holds_there() -> None:
     assert run.got(1) == []
 
 
+def test_a_robot_of_unknown_place_is_not_taken_to_be_in_the_pools_middle() -> None:
+    """It was never heard, or says that it does not know where it is while no camera sees it."""
+    run = LedRun()
+    for order in (Order.ARM, Order.HOLD):
+        assert run.ask(order) == ""
+        run.step(0.2)
+    view_of_1 = run.fleet()[1]
+    lost = replace(view_of_1, state=replace(required(view_of_1.state), estimate=None), pose=None)
+    for view in (RobotView(), lost):
+        fleet = run.fleet() | {1: view}
+        assert run.single.request(Order.GO, 2, fleet, run.now_ns, (0.0, 0.0)) == ""
+        assert run.mission.plans.monitor.discs_to_avoid([view]).shape == (0, 3)
+    assert "from robot 1" in run.ask(Order.GO, place_m=(-0.4, 0.0))
+
+
 def test_a_robot_that_lags_may_come_up_and_one_that_something_keeps_away_has_not_arrived() -> None:
     """A robot that yields to another has no fault, and its clock goes on."""
     run = LedRun()

@@ -1,5 +1,6 @@
 """The mission's table against its page, and what no table of a mission may do."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -35,20 +36,46 @@ WAITS = (
 )
 
 
+def groups() -> dict[str, set[MissionState]]:
+    """Name -> states, read off the page's list of groups."""
+    listed = dict(re.findall(r"^\* \*([a-z ]+)\*: (.+)$", PAGE, re.MULTILINE))
+    state_groups: dict[str, set[MissionState]] = {}
+    while len(state_groups) < len(listed):  # a group may name another
+        for name, text in listed.items():
+            words = text.split(", ")
+            if all(word in MissionState.__members__ or word.strip("*") in state_groups for word in words):
+                state_groups[name] = states_of(text, state_groups)
+    return state_groups
+
+
+def states_of(text: str, state_groups: dict[str, set[MissionState]]) -> set[MissionState]:
+    """States that a cell names."""
+    if text == "any":
+        return set(MissionState)
+    if text.startswith("any but "):
+        return set(MissionState) - states_of(text.removeprefix("any but "), state_groups)
+    states: set[MissionState] = set()
+    for word in text.split(", "):
+        states |= state_groups[word.strip("*")] if word.startswith("*") else {MissionState[word]}
+    return states
+
+
 def documented() -> dict[tuple[MissionState, str], MissionState]:
     """(state, what happens) -> state, read off the page."""
     transitions: dict[tuple[MissionState, str], MissionState] = {}
+    state_groups = groups()
     for line in PAGE.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) != 3 or cells[2] not in MissionState.__members__:
+        if len(cells) == 3 and cells[2] in MissionState.__members__:
+            changes = [(cells[1], cells[2])]
+        elif len(cells) == 2 and "→" in cells[1]:
+            changes = [(when, to) for when, to in (change.split(" → ") for change in cells[1].split("; "))]
+        else:
             continue
-        what, when, to = cells
-        names = when.removeprefix("always but ").split(", ")
-        listed = {MissionState[name] for name in names if name in MissionState.__members__}
-        states = set(MissionState) - listed if when.startswith("always") else listed
-        for state in states:
-            assert (state, what) not in transitions, f"{what} from {state.name} leads to two places"
-            transitions[state, what] = MissionState[to]
+        for when, to in changes:
+            for state in states_of(when, state_groups):
+                assert (state, cells[0]) not in transitions, f"{cells[0]} from {state.name} leads to two places"
+                transitions[state, cells[0]] = MissionState[to]
     return transitions
 
 

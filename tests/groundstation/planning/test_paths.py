@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from groundstation.planning.paths import CirclePath, PathState, SplinePath, make_path
+from groundstation.planning.paths import CirclePath, PathState, SplinePath
+from groundstation.planning.straight_sides import make_path
 from shoal.config.scene import Circle, Waypoints
 from shoal.frames import Array
 

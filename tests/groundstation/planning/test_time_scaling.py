@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from groundstation.planning.feasibility import PlanError
-from groundstation.planning.paths import make_path
 from groundstation.planning.planner import plan
+from groundstation.planning.straight_sides import make_path
 from groundstation.planning.time_scaling import TimeScaledPath
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.scene import Waypoints

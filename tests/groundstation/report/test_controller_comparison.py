@@ -11,12 +11,13 @@ from scipy import stats
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
-from groundstation.analysis.comparison import Comparison, FlightRecord, Traces, Variant
+from groundstation.analysis.comparison import Comparison, FlightRecord, StepTimes, Traces, Variant
 from groundstation.analysis.statistics import mean
 from groundstation.report.controller_comparison import cells, failures, ratio
 from shoal.errors import ConfigError
 from tests.sim_bridge.studies.flight_metrics import GOOD
 
+COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SINE = [round(9.0 * math.sin(0.1 * k), 3) for k in range(100)]
 TRACES = Traces(0.5, [0.5 * 0.9**k for k in range(60)], 0.05, [SINE, SINE], [[max(-6.0, min(6.0, v)) for v in SINE]] * 2)
 
@@ -32,7 +33,7 @@ def variant(name: str, factor: float, seeds: int = 4) -> Variant:
 
 
 def comparison(*variants: Variant) -> Comparison:
-    return Comparison("pool", "Two robots <&>", 45.0, 0.1, ["seed=3"], 6.0, [1, 2], list(variants), 0.6, "")
+    return Comparison("pool", "Two robots <&>", 45.0, 0.1, ["seed=3"], 6.0, [1, 2], list(variants), 0.6, COMMIT)
 
 
 def test_ratios_are_taken_seed_by_seed() -> None:
@@ -48,6 +49,20 @@ def test_the_intervals_are_those_of_another_bootstrap_and_never_below_zero() -> 
     average, other = mean(values), stats.bootstrap((values,), np.mean, n_resamples=20000, method="percentile", rng=1)
     assert [average.low, average.high] == pytest.approx(list(other.confidence_interval), rel=0.1)
     assert average.low is not None and average.low > 0.0
+
+
+@pytest.mark.long
+def test_a_report_says_what_a_paper_needs_to_say_about_its_figures(tmp_path: Path) -> None:
+    """n and the seeds, how the intervals were found, the commit, and what a control step takes, on terminal and page."""
+    timed = variant("eso-mpc", 1.0)
+    steps = [dataclasses.replace(f, step_us=StepTimes(100.0 * k, 300.0 * k, 900.0)) for k, f in enumerate(timed.flights, 1)]
+    _, output = report(tmp_path, dataclasses.replace(timed, flights=steps), variant("pid", 2.0))
+    page = (tmp_path / "comparison.html").read_text(encoding="utf-8")
+    for place in (" ".join(output.split()), page):
+        assert "n = 4 seeds (1 to 4)" in place
+        assert "95 % bootstrap intervals of the means, 1000 resamples" in place and f"commit {COMMIT}" in place
+    assert page.count("control step, ") == 2 and "<td>250 [" in page and "<td>750 [" in page and "<td>–</td><td>–</td>" in page
+    assert "250" in output and "750" in output
 
 
 def test_every_variant_has_a_row_in_order() -> None:

@@ -1,17 +1,24 @@
-"""A script makes the operator's requests, reads live states, and is told what is missing or late. The station is played by the
-test, on a bus in memory."""
+"""A script makes the operator's requests, reads live states, and is told what is missing or late.
+
+The station is played by the test, on a bus in memory.
+"""
 
 import threading
 import time
+import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from groundstation.mission.state_machine import FLEET_REQUESTS
 from shoal import ConnectedFleet, NotHeard, RequestFailed
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import EXPERIMENTS, load_experiment, with_flight
+from shoal.config.scene import Circle
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import (
@@ -72,6 +79,29 @@ def test_each_request_of_a_terminal_is_a_method_and_the_same_command(
     method = METHODS.get(name, name.replace("-", "_"))
     assert getattr(fleet, method)().confirmed == (1, 2)
     assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper().replace("-", "_")], 0)]
+
+
+def test_another_path_is_loaded_by_name_or_file_with_settings_and_needs_no_camera(
+    fleet: ConnectedFleet, station: PlayedStation, tmp_path: Path
+) -> None:
+    """The station gets the whole experiment as text; a bad one never leaves."""
+    fleet.load("pool", {"path.lap_s": 80.0})
+    table = tomllib.loads((EXPERIMENTS / "numeric.toml").read_text(encoding="utf-8"))
+    del table["camera"], table["localizer"]["uses_camera"]
+    (tmp_path / "lab.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
+    fleet.load(str(tmp_path / "lab.toml"))
+    assert [c.order for c in station.commands] == [Order.PATH, Order.PATH]
+    names, texts = ("pool", "numeric"), [c.text for c in station.commands]
+    first, second = (with_flight(load_experiment(name), text) for name, text in zip(names, texts, strict=True))
+    assert isinstance(first.path, Circle) and first.path.lap_s == 80.0
+    assert second.path == load_experiment("numeric").path
+    with pytest.raises(ConfigError, match=r"path\.lap_h: unknown key"):
+        fleet.load("pool", {"path.lap_h": 80.0})
+    points_m = [[k / 7, k % 2 / 3] for k in range(900)]
+    many = {"path": {"kind": "waypoints", "points_m": points_m, "speed_mps": 0.1, "depth_m": 0.5}}
+    with pytest.raises(ConfigError, match=r"pool: its path has \d+ characters \(allowed: 8000"):
+        fleet.load("pool", many)
+    assert len(station.commands) == 2
 
 
 @pytest.mark.parametrize("name", ["arm", "hold", "disarm"])

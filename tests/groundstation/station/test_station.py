@@ -1,5 +1,6 @@
-"""The station's loop: when it acts."""
+"""The station takes stops and replies at once, drops outdated plans, and ends only when every robot is at rest."""
 
+import errno
 import logging
 import threading
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from groundstation.formation_clock import named_alone
 from groundstation.logs.recorder import Recorder
@@ -46,6 +48,7 @@ from shoal.messages.messages import (
     Reply,
     RobotState,
     StationHeartbeat,
+    StepTiming,
     Track,
     Trajectory,
 )
@@ -55,6 +58,7 @@ from shoal.runtime.version import code
 from sim_bridge.lockstep.clock import LockstepClock
 from tests.waiting import eventually
 
+FRESH = StepTiming(board_age_ms=20.0)
 pytestmark = pytest.mark.real_time
 
 PERIOD_S = 0.125
@@ -82,9 +86,31 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
         yield Station(
             experiment, bus, WallClock(), recorder, Mission(experiment, segment, starts, False), tuner,
             LapStatistics(tuner.lap_s),
-            subscribe_fleet(bus, experiment.robot_ids), threads, starts,
+            subscribe_fleet(bus, experiment.robot_ids), threads,
         )  # fmt: skip
     recorder.close()
+
+
+def test_a_recorders_warning_is_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Recorder, "warning", "pictures are not recorded any longer")
+    with a_station(tmp_path) as station, caplog.at_level(logging.WARNING, "shoal"):
+        for _ in range(3):
+            station.cycle(station.clock.now_ns())
+    warnings = [record.message for record in caplog.records if record.message.startswith("recorder: ")]
+    assert warnings == ["recorder: pictures are not recorded any longer"]
+
+
+def test_the_heartbeat_tells_when_the_flight_began(tmp_path: Path) -> None:
+    """Terminals, scripts and the recorded run count their time from it."""
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        beats = Bus(MemoryTransport(hub)).inbox(topics.HEARTBEAT, StationHeartbeat)
+        station.mission.began_ns = 1_234_000_000
+        station.cycle(station.clock.now_ns())
+        received = beats.newest()
+        assert received is not None and received.message.began_ns == 1_234_000_000
 
 
 def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
@@ -213,7 +239,12 @@ class ObedientFleet:
 
     def tell(self) -> None:
         for robot, mode in self.modes.items():
-            state = RobotState(mode=mode, experiment_hash=self.experiment.hash, board=BoardReading(battery_v=12.0))
+            state = RobotState(
+                mode=mode,
+                experiment_hash=self.experiment.hash,
+                board=BoardReading(battery_v=12.0),
+                timing=FRESH,
+            )
             self.bus.publish(topics.STATE, state, time.time_ns(), robot)
 
     def until(self, station: Station, done: Callable[[], bool]) -> None:
@@ -579,7 +610,11 @@ def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path)
         fleet = Bus(MemoryTransport(hub))
         for hash_, blocks in (("0" * 64, True), (station.experiment.hash, False), ("", False)):  # the last: an earlier version
             fleet.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, experiment_hash=hash_), time.time_ns())
-            state = RobotState(experiment_hash=station.experiment.hash, board=BoardReading(battery_v=12.0))
+            state = RobotState(
+                experiment_hash=station.experiment.hash,
+                board=BoardReading(battery_v=12.0),
+                timing=FRESH,
+            )
             fleet.publish(topics.STATE, state, time.time_ns(), 1)
             station.cycle(station.clock.now_ns())
             view = replace(station.status().views[1], state_age_s=0.0)
@@ -594,7 +629,7 @@ def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path)
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
         programs = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-        state = RobotState(experiment_hash=station.experiment.hash, board=BoardReading(battery_v=12.0))
+        state = RobotState(experiment_hash=station.experiment.hash, board=BoardReading(battery_v=12.0), timing=FRESH)
         for number in (0, 1, 0):
             programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
             programs[number].publish(topics.STATE, state, time.time_ns(), 1)
@@ -616,7 +651,7 @@ def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_t
             LocalizerStatus(CameraHealth.OK, code="0.1.0 8289d898"),
         )
         for robot, its, hash_ in ((1, own, station.experiment.hash), (2, "", "0" * 64)):
-            state = RobotState(experiment_hash=hash_, code=its, board=BoardReading(battery_v=12.0))
+            state = RobotState(experiment_hash=hash_, code=its, board=BoardReading(battery_v=12.0), timing=FRESH)
             fleet.publish(topics.STATE, state, time.time_ns(), robot)
         fleet.publish(topics.LOCALIZER, localizer, time.time_ns())
         for _ in range(2):
@@ -655,3 +690,18 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
         stop.request()
         thread.join()
     assert min(gaps_s) < 0.5 * PERIOD_S, gaps_s
+
+
+def test_a_log_whose_end_the_disk_does_not_take_is_told_and_no_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def finish(_: Writer) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Writer, "finish", finish)
+    experiment, stop = load_experiment("pool"), Stop(install=False)
+    stop.request()
+    bus = Bus(MemoryTransport(MemoryHub()))
+    assert not run_steps(process.cycles(experiment, dump_experiment(experiment), bus, tmp_path, automatic=False, stop=stop))
+    lines = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
+    assert lines == ["recorder: log stopped: No space left on device (errno 28)"]

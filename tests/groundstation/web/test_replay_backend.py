@@ -182,7 +182,7 @@ def test_alarms_are_those_that_were(tmp_path: Path) -> None:
                 experiment_hash=experiment.hash,
                 trajectory_s=since_s,
                 board=BoardReading(battery_v=12.0),
-                timing=StepTiming(step_us=18_000.0),
+                timing=StepTiming(step_us=18_000.0, board_age_ms=20.0),
             )
             for topic, message in ((topics.STATE, state), (topics.PLAN, Plan(0.05))):
                 if bad and (lost or (topic is topics.PLAN and 20.0 <= since_s < 24.0)):

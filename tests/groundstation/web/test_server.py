@@ -158,7 +158,9 @@ def test_a_page_gets_the_scene_then_states_as_they_come(lab: ServedStation) -> N
     assert frame["robots"][1]["state"]["mode"] == "ARMED"
     assert "state" not in frame["robots"][0]
     assert any(line["robot"] == 1 and line["text"].startswith("not heard (start its agent") for line in frame["preflight"])
-    assert frame["allowed"] == ["load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end"]
+    assert frame["allowed"] == [
+        "load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end", "formation", "path",
+    ]  # fmt: skip
     lab.robots.publish(topics.PREVIEW, Preview(b"jpeg"), time.time_ns())
     assert page.until(lambda f: f["k"] == "picture")["jpeg"] == b"jpeg"
 
@@ -372,7 +374,7 @@ def test_while_dragging_the_newest_edit_is_answered(lab: ServedStation) -> None:
     for n in range(1, 40):
         page.say(kind="try", n=n, edit={"diameter_m": 0.4 + 0.001 * n})
     last = page.until(lambda f: f["k"] == "tried" and f["n"] == 39)
-    assert last["ok"] and last["fastest_mps"] == pytest.approx(0.439 * 3.14159265 / 100, rel=1e-5)
+    assert last["ok"] and last["figures"][2]["value"] == pytest.approx(0.439 * 3.14159265 / 100, rel=1e-5)
 
 
 def test_an_unusable_certificate_is_refused_at_start(lab: ServedStation, tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from shoal.config.experiment import load_experiment
 from shoal.config.scene import Waypoints
 from shoal.errors import ConfigError
 from shoal.messages.camera_coverage import project
+from shoal.messages.live_gains import tunable_parameters
 from shoal.messages.messages import BoardReading, CameraHealth, LocalizerStatus, Mode, Pose, RobotState, StepTiming, Track
 from shoal.runtime.web_access import host_allowed, origin_allowed, token_allowed, web_options
 from sim_bridge.camera import optics
@@ -367,6 +368,11 @@ def test_the_ellipse_is_that_of_the_covariance(a: float, b: float, angle: float)
 # --- the editor asks the real planner
 
 
+def value(tried: dict[str, Any], what: str) -> float:
+    """A figure of a plan, the worst of all robots."""
+    return next(float(figure["value"]) for figure in tried["figures"] if figure["what"] == what)
+
+
 def test_an_edit_that_changes_nothing_gives_the_flown_paths() -> None:
     tried = experiment_editor.attempt(POOL, protocol.Edit())
     assert tried["ok"]
@@ -374,15 +380,15 @@ def test_an_edit_that_changes_nothing_gives_the_flown_paths() -> None:
     flown = planner.plan(POOL)[1].eta
     step = round(tried["paths"][0]["every_s"] / POOL.controller.period_s)
     np.testing.assert_allclose(eta, flown[:2401:step], atol=1e-5)
-    assert tried["clearance_m"] == pytest.approx(0.8, abs=1e-6)
-    assert tried["fastest_mps"] == pytest.approx(0.45 / 2 * 2 * np.pi / 100, rel=1e-6)
+    assert value(tried, "between centres") == pytest.approx(0.8, abs=1e-6)
+    assert value(tried, "speed") == pytest.approx(0.45 / 2 * 2 * np.pi / 100, rel=1e-6)
 
 
 def test_an_edit_that_cannot_be_flown_says_why_and_still_shows_the_path() -> None:
     tried = experiment_editor.attempt(POOL, protocol.Edit(nodes_m={1: (0.1, 0.0, 0.0)}))
     assert not tried["ok"]
     assert "robots 1 and 2: 0.500 m apart" in tried["problems"][0]
-    assert tried["clearance_m"] == pytest.approx(0.5, abs=1e-6)
+    assert value(tried, "between centres") == pytest.approx(0.5, abs=1e-6)
     assert {path["robot"] for path in tried["paths"]} == {1, 2}
     beyond = experiment_editor.attempt(POOL, protocol.Edit(diameter_m=4.0))
     assert any("wall" in problem for problem in beyond["problems"])
@@ -443,3 +449,33 @@ def test_another_path_pool_and_islands_are_judged_and_kept(tmp_path: Path, monke
 def test_an_edit_to_waypoints_without_points_is_answered() -> None:
     tried = experiment_editor.attempt(POOL, protocol.Edit(kind="waypoints"))
     assert not tried["ok"] and any("points_m" in problem for problem in tried["problems"])
+
+
+SQUARE = [(-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6)]
+
+
+@pytest.mark.parametrize("corner", ["smooth", "round", "stop"])
+def test_laps_of_a_square_are_planned_and_drawn_with_the_corners_of_the_edit(corner: Any) -> None:
+    edit = protocol.Edit(kind="waypoints", points_m=SQUARE, speed_mps=0.1, depth_m=0.3, laps=2, corner=corner, duration_s=80.0)
+    tried = experiment_editor.attempt(POOL, edit)
+    assert tried["ok"], tried["problems"]
+    eta = np.mean([np.frombuffer(path["eta"], "<f4").reshape(-1, 4) for path in tried["paths"]], axis=0)
+    beyond_m = np.abs(eta[:, :2]).max() - 0.6
+    assert beyond_m > 0.1 if corner == "smooth" else abs(beyond_m) < 1e-3
+    assert {figure["what"] for figure in tried["figures"]} > {"between centres", "hulls to walls and islands", "thrust"}
+
+
+def test_a_path_that_ends_before_the_run_is_drawn_to_its_end() -> None:
+    edit = protocol.Edit(kind="waypoints", points_m=SQUARE, speed_mps=0.1, depth_m=0.3, corner="round", duration_s=90.0)
+    tried = experiment_editor.attempt(POOL, edit)
+    assert not tried["ok"] and "the path ends after" in tried["problems"][0]
+    assert tried["duration_s"] < 40.0 and tried["paths"]
+
+
+def test_every_label_of_a_gain_names_one_and_every_gain_has_a_label() -> None:
+    """The page's table against what each control law lets people change."""
+    laws = [load_experiment("pool", [f"controller.law={law}"]).controller for law in ("nmpc", "eso-mpc-article", "pid")]
+    knobs = [knob.key for controller in laws for knob in tunable_parameters(controller)]
+    source = (Path(protocol.__file__).parent / "page/src/panels/Tuning.tsx").read_text(encoding="utf-8")
+    labels = re.findall(r'^  "([\w.]+)": \["', source, re.MULTILINE)
+    assert sorted(labels) == sorted({re.sub(r"^controller\.|\.\d+$", "", key) for key in knobs})

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR
-from localizer.node import LocalizerNode
+from localizer.node import FrameOutlets, LocalizerNode
 from localizer.sources.base import CapturedFrame
 from localizer.sources.recording import FRAMES, FrameRecorder, RecordedFrame, recorded_frames
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
@@ -31,13 +31,14 @@ from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
-from shoal.messages.messages import BoardReading, RobotState
+from shoal.messages.messages import BoardReading, RobotState, StepTiming
 from shoal.runtime.output_files import disk_free
 from shoal.runtime.runtime import Stop
 from sim_bridge.lockstep.clock import LockstepClock
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
 
+JUST_NOW = StepTiming(board_age_ms=0.0)
 pytestmark = pytest.mark.long
 
 EXPERIMENT = load_experiment("pool")
@@ -254,7 +255,10 @@ class _LeaningRobots:
             for robot in (1, 2):
                 tilt = np.array([ROLL_RAD + 0.001 * k, 0.01 * robot, 0.02, 0.0])
                 self._bus.publish(
-                    topics.STATE, RobotState(board=BoardReading(depth_m=0.3 + 1e-4 * k, tilt=tilt)), at_ns, robot
+                    topics.STATE,
+                    RobotState(board=BoardReading(depth_m=0.3 + 1e-4 * k, tilt=tilt), timing=JUST_NOW),
+                    at_ns,
+                    robot,
                 )
             hidden = frozenset({1} if 8 <= k < 14 else ())
             yield CapturedFrame(self._scene.frame({1: _place(k), 2: STANDING}, hidden), at_ns - 7, at_ns, at_ns)
@@ -273,7 +277,7 @@ def _localize(folder: Path, **recording: Any) -> list[tuple[int, bytes]]:
     with closing(FrameRecorder(folder, EXPERIMENT, waits=True, **recording)) as recorder:
         clock = LockstepClock()
         camera = _LeaningRobots(ours, clock)
-        LocalizerNode(EXPERIMENT, bus, Stop(install=False), clock, camera, recorder=recorder).run()
+        LocalizerNode(EXPERIMENT, bus, Stop(install=False), clock, camera, FrameOutlets(recorder=recorder)).run()
     return [(header.stamp_ns, payload) for _, _, header, payload in published()]
 
 

@@ -1,5 +1,7 @@
-"""A V4L2 camera: instants, the newest wins, unplugging, settings. By a stand-in for OpenCV's capture, and a real one where
-there is one."""
+"""A V4L2 camera gives each picture its instant, the newest first, and survives unplugging.
+
+By a stand-in for OpenCV's capture, and a real camera where there is one.
+"""
 
 import os
 import threading

@@ -3,6 +3,8 @@
 The renderer's camera is moved, or its water sunk, while the localizer keeps the experiment's. Seeds are in the scene.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -158,14 +160,14 @@ def test_a_bumped_camera_is_not_cleared_by_marks_that_are_covered(visible: tuple
     """All but the `visible` are covered after so many pictures of each mark. Then the camera is put back, and at last all of
     them are seen again."""
     believed, few = pool(), tuple(MARKS[k] for k in visible)
-    bumped, (at_place, covered) = moved_camera(believed, (0.1, 0.0, 0.0)), (picture(pool()), picture(pool(few)))
+    at_place, bumped, covered = picture(MARKS, 0.0), picture(MARKS, 0.1), picture(few, 0.0)
     pose = CheckedCameraPose(believed.camera, MARKS)
     watch(pose, at_place, READINGS)
     assert not pose.moved and pose.marks_seen
-    watch(pose, picture(bumped), pictures)
+    watch(pose, bumped, pictures)
     assert pose.moved and pose.marks_seen
     wide = shift_variance_m2(pose)
-    for hidden in (picture(moved_camera(pool(few), (0.1, 0.0, 0.0))), covered):
+    for hidden in (picture(few, 0.1), covered):
         for _ in range(READINGS + 1):
             watch(pose, hidden, 1)
             assert pose.moved and "the camera was moved" in pose.trouble
@@ -179,11 +181,14 @@ def test_a_bumped_camera_is_not_cleared_by_marks_that_are_covered(visible: tuple
 def test_two_marks_of_five_can_tell_a_bump() -> None:
     believed, few = pool(), MARKS[:2]
     pose = CheckedCameraPose(believed.camera, MARKS)
-    watch(pose, picture(moved_camera(pool(few), (0.1, 0.0, 0.0))), READINGS)
+    watch(pose, picture(few, 0.1), READINGS)
     assert pose.moved and shift_variance_m2(pose) > 0.0 and not pose.marks_seen
 
 
-def picture(true: Experiment) -> Pixels:
+@cache
+def picture(marks: tuple[Landmark, ...], aside_m: float) -> Pixels:
+    """Picture of a pool with these marks from a camera that is so far from its place."""
+    true = moved_camera(pool(marks), (aside_m, 0.0, 0.0))
     return np.asarray(Renderer(true, true.seed).render(ETA, np.zeros((2, 4)), 0.0, 0))
 
 

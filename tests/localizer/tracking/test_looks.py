@@ -1,5 +1,7 @@
-"""One robot without marker, followed by its looks in rendered frames through full thrust, full braking and the largest yaw
-rate, in a current with gusts and waves, from 30 to 200 pixels a metre: its pose stays within what it claims."""
+"""A robot without marker is followed by its looks through full thrust and turns, and its pose stays within what it claims.
+
+In rendered frames, in a current with gusts and waves, from 30 to 200 pixels a metre.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

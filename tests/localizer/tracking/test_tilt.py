@@ -91,7 +91,7 @@ class SeenPool(DryPool):
         }
         states = {i: robot.states[-1] for i, robot in zip(ids, self.robots, strict=True) if robot.states and self._measured}
         readings = {
-            i: Attitude.at(required(s.board).tilt, STEP_S + s.timing.board_age_ms * 1e-3, ATTITUDE_SIGMA_RAD)
+            i: Attitude.at(required(s.board).tilt, STEP_S + required(s.timing.board_age_ms) * 1e-3, ATTITUDE_SIGMA_RAD)
             for i, s in states.items()
         }
         attitudes = {i: attitude for i, attitude in readings.items() if attitude is not None}

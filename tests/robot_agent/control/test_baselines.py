@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robot_agent.control import law as laws
 from robot_agent.control.baselines import lqr
 from robot_agent.control.baselines.adaptive_nn import AdaptiveNn
 from robot_agent.control.baselines.backstepping import Backstepping
@@ -23,6 +24,7 @@ from robot_agent.guidance.reference import Follow, Goal, Hold
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from shoal.config import baseline_controllers
+from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import load_experiment
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array, wrap
@@ -386,3 +388,7 @@ def test_random_steps_stay_within_limits(name: str) -> None:
 @pytest.mark.parametrize("name", LAWS)
 def test_a_hundred_thousand_random_steps_stay_within_limits(name: str) -> None:
     wander(name, 100_000 // len(LAWS) + 1)
+
+
+def test_every_name_that_the_file_allows_has_a_law() -> None:
+    assert {*laws.LAWS, "nmpc", "eso-mpc-article"} == {*get_args(LawName)}

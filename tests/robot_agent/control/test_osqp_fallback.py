@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from robot_agent.control import osqp_fallback
 from robot_agent.control.active_set import NO_BOUND, ConvexProgram, make_active_set, solve_from
 from robot_agent.control.osqp_fallback import CLOSE, solve_by_osqp
 from shoal.frames import Array
@@ -44,3 +45,11 @@ def test_bad_numbers_and_crossed_bounds_are_refused(which: int, poison: float | 
     else:
         program[which].reshape(-1)[0] = poison
     assert solve_by_osqp(program, working) == 0
+
+
+def test_a_point_outside_the_rows_is_no_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After its last iteration OSQP has a point, wherever it is."""
+    monkeypatch.setitem(osqp_fallback.SETTINGS, "max_iter", 2)
+    program, working = problem(1), make_active_set(N, M)
+    assert solve_by_osqp(program, working) == 0
+    assert not working.x.any() and not working.held.any()

@@ -1,4 +1,4 @@
-"""Goals sampled over the horizon."""
+"""Goals over the horizon are samples of the trajectory, of its first pose before it and of its last one after it."""
 
 import numpy as np
 import pytest

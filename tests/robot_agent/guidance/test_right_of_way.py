@@ -3,11 +3,14 @@
 from itertools import combinations
 
 import numpy as np
+import pytest
 
 from groundstation.planning import planner
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.messages.messages import Mode, Order
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
+
+pytestmark = pytest.mark.long
 
 SETTINGS = ("controller.law=nmpc", "controller.estimator.kind=kalman", "controller.period_s=0.1", "duration_s=45.0")
 

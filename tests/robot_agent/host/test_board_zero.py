@@ -13,7 +13,6 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.mavlink.agent_link import CALIBRATE, UNSUPPORTED, Telemetry
-from shoal.runtime.output_files import replace_text
 from shoal.runtime.runtime import Stop
 from sim_bridge.thruster_board.board_link import BoardLink, Calibrate
 from tests.robot_agent.obedient_board import Board
@@ -62,7 +61,7 @@ def refusals(folder: Path, boot: str, zero_m: float, monkeypatch: pytest.MonkeyP
         station = inputs.station.__class__(7, now_ns, 0.03)
         reasons.append(node.agent._health.arming_refusal(inputs, station, now_ns))  # what ARM is answered, without a station
         if step == 0 and steps > 3:
-            replace_text(folder / zero_request.FILE, zero_request.KEPT)
+            zero_request.write_request(folder / zero_request.FILE, in_air=False)
     return reasons
 
 

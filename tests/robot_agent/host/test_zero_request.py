@@ -1,6 +1,8 @@
 """A person confirms a board's depth zero: through the robot's program, or over the link while none runs."""
 
+import os
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,10 +12,12 @@ from typer.testing import CliRunner
 
 from robot_agent.__main__ import cli
 from robot_agent.host import zero_request
+from robot_agent.host.board_zero import boot_id, boot_time_s
 from robot_agent.node import AgentNode, StepTime
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from shoal.mavlink.board_port import Link
 from shoal.runtime.runtime import Stop
 from sim_bridge.thruster_board.board import ThrusterBoard
@@ -22,6 +26,7 @@ from sim_bridge.thruster_board.sensor_zero import BoardStart, ResetCause, Sensor
 POOL = load_experiment("pool")
 STEP_NS = 50_000_000
 STILL, DEEP = np.zeros(4), np.array([0.0, 0.0, 0.5, 0.0])
+RESTARTED = BoardStart(int(ResetCause.BROWN_OUT), False, Zeros(0.0))
 
 
 class RestartedBoard(Link):
@@ -30,9 +35,8 @@ class RestartedBoard(Link):
     trouble = advice = ""
     first_word_s = 0.0
 
-    def __init__(self) -> None:
-        start = BoardStart(int(ResetCause.BROWN_OUT), False, Zeros(0.0))
-        self.board, self.now_ns = ThrusterBoard(POOL, 1, 1, zero=SensorZero(start)), 0
+    def __init__(self, start: BoardStart = RESTARTED, eta: Array = DEEP) -> None:
+        self.board, self.now_ns, self._eta = ThrusterBoard(POOL, 1, 1, zero=SensorZero(start)), 0, eta
 
     def send(self, data: bytes) -> None:
         self.board.receive(data, self.now_ns)
@@ -41,7 +45,7 @@ class RestartedBoard(Link):
         data = b""
         for _ in range(10):  # 5 ms each
             self.now_ns += STEP_NS // 10
-            data += self.board.step(self.now_ns, DEEP, STILL, STILL)
+            data += self.board.step(self.now_ns, self._eta, STILL, STILL)
         return data
 
     def wait(self, timeout_s: float) -> None: ...
@@ -107,6 +111,32 @@ def test_the_robots_program_does_not_arm_in_question_and_passes_the_confirmation
     assert stepping.agent.inputs.telemetry.depth_m == pytest.approx(depth_m, abs=0.05)
     assert stepping.mavlink.telemetry.restarted
     assert not (tmp_path / "state" / zero_request.FILE).exists()
+
+
+@pytest.mark.parametrize(
+    "left",
+    [
+        "air",
+        "air another-boot {now:.3f}",
+        "air {boot} {old:.3f}",
+        "air {boot} {later:.3f}",
+        "air {boot} nan",
+        "water {boot} {now:.3f}",
+    ],
+)
+def test_a_request_that_a_killed_command_has_left_reaches_no_board(stepping: AgentNode, tmp_path: Path, left: str) -> None:
+    """The file's time is ahead of the wall clock's, as after a start without a network."""
+    path, now_s = tmp_path / "state" / zero_request.FILE, boot_time_s()
+    path.write_text(left.format(boot=boot_id(), now=now_s, old=now_s - 60.0, later=now_s + 60.0), encoding="ascii")
+    os.utime(path, (time.time() + 3600.0, time.time() + 3600.0))
+    threading.Event().wait(0.3)
+    assert "in question" in refusal(stepping) and path.exists()
+    path.write_text(f"air {boot_id()} {boot_time_s():.3f}", encoding="ascii")
+    for _ in range(40):
+        if not path.exists():
+            break
+        threading.Event().wait(0.1)
+    assert not path.exists()
 
 
 def test_without_a_program_the_command_tells_the_board_itself(

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -32,12 +33,15 @@ from shoal.bus.transport import Presence
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
+from shoal.frames import Array
 from shoal.mavlink import board_address
 from shoal.messages import topics
 from shoal.messages.messages import Mode, Solve, StationHeartbeat, required
 from sim_bridge.sil.ports import free_base_port, free_port
+from sim_bridge.thruster_board.sensor_zero import BoardStart
 from tests.robot_agent import obedient_board
 from tests.robot_agent.autopilot import Autopilot
+from tests.robot_agent.host.test_zero_request import DEEP, RESTARTED, STILL, RestartedBoard
 from tests.shoal.mavlink.resetting_board import ResettingBoard
 
 pytestmark = pytest.mark.real_time
@@ -222,6 +226,27 @@ def test_an_autopilot_and_another_robots_board_fail_by_name(system: int, says: s
     board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
     findings = {finding.what: finding for finding in check_shell.run_preflight(board, None)}
     assert findings["thruster board"].verdict is CheckVerdict.FAIL and says in findings["thruster board"].detail
+
+
+@pytest.mark.parametrize(
+    ("start", "eta", "says", "verdict"),
+    [
+        (RESTARTED, DEEP, "depth 0.50 m, on for 1 s after brown-out, with the zeros kept from before, DEPTH ZERO IN QUESTION: "
+         "it will not arm before `robot-agent confirm-zero`, disarmed", CheckVerdict.WARN),
+        (replace(RESTARTED, causes=8), STILL, "s after watchdog, with the zeros kept from before, disarmed", CheckVerdict.OK),
+        (BoardStart(1, True, None), STILL, "s after power-on, disarmed", CheckVerdict.OK),
+    ],
+    ids=["under water", "in air", "switched on"],
+)  # fmt: skip
+def test_check_shows_a_restart_and_a_zero_in_question_once_the_board_has_judged_it(
+    start: BoardStart, eta: Array, says: str, verdict: CheckVerdict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board's first heartbeat says in question, before it has measured the pressure: opening the port may have reset it."""
+    monkeypatch.setattr(check_shell, "open_board_link", lambda board: (RestartedBoard(start, eta), None))
+    monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
+    board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
+    found = {finding.what: finding for finding in check_shell.run_preflight(board, None)}["thruster board"]
+    assert says in found.detail and found.verdict is verdict, found.detail
 
 
 class Told(obedient_board.Board):

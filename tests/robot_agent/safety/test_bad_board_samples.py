@@ -20,6 +20,8 @@ from shoal.mavlink.agent_link import AgentLink
 from shoal.messages.messages import Mode
 from sim_bridge.thruster_board.board_link import BoardLink, Timesync
 
+pytestmark = pytest.mark.long
+
 POOL = load_experiment("pool")
 ME, MS = 1, 1_000_000
 SWITCHED_ON_MS = 500_000  # before the flight

@@ -9,6 +9,7 @@ from robot_agent.control.any_controller import controller_class
 from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
+from robot_agent.safety.sensor_checks import LEVEL_MPS2
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.experiment import load_experiment
 from shoal.mavlink.agent_link import Telemetry
@@ -17,7 +18,10 @@ from shoal.messages.messages import Control, Estimate, Mode, Pose, Track
 POOL = load_experiment("pool")
 NOW_NS, MS = 10_000_000_000, 1_000_000
 POSE = Pose(0.0, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
-BOARD = Telemetry(board_ms=10_000, arrival_ns=NOW_NS - 20 * MS, battery_v=12.4, battery_reports=1, echo_us=(1500,) * 8)
+BOARD = Telemetry(
+    board_ms=10_000, arrival_ns=NOW_NS - 20 * MS, acceleration_mps2=LEVEL_MPS2, battery_v=12.4, battery_reports=1,
+    echo_us=(1500,) * 8,
+)  # fmt: skip
 STATION = StationView(7, NOW_NS, 0.03)
 WELL = Inputs(StampedPose(POSE, NOW_NS - 40 * MS), BOARD, STATION)
 CONTROLLER = controller_class(POOL.controller)(POOL.vehicle, POOL.controller, POOL.safety)
@@ -68,6 +72,7 @@ def test_a_robot_that_is_well_arms() -> None:
          "the thruster board restarted, and its depth zero is in question: confirm it on the robot with "
          "`robot-agent confirm-zero`, or in air have it taken anew with `robot-agent confirm-zero --in-air`"),
         (replace(WELL, telemetry=replace(BOARD, restarted=True, reset_causes=("watchdog",))), STATION, ""),
+        (replace(WELL, telemetry=replace(BOARD, acceleration_mps2=(0.0, -9.8, 0.0))), STATION, ""),  # one sample
         (replace(WELL, pose=None), STATION, "the last pose is inf s old"),
         (replace(WELL, pose=StampedPose(POSE, NOW_NS - 200 * MS)), STATION, "the last pose is 0.20 s old"),
         (replace(WELL, pose=StampedPose(replace(POSE, track=Track.COAST), NOW_NS)), STATION, "the last pose is inf s old"),
@@ -83,6 +88,17 @@ def test_a_robot_that_is_well_arms() -> None:
 )  # fmt: skip
 def test_reason_against_arming_is_told(inputs: Inputs, station: StationView, reason: str) -> None:
     assert unfit(inputs, station) == reason
+
+
+def test_a_robot_that_leans_or_whose_accelerometer_is_turned_does_not_arm() -> None:
+    monitor = HealthMonitor(POOL)
+    for k in range(40):
+        at_ns = NOW_NS - (40 - k) * 50 * MS
+        board = replace(BOARD, arrival_ns=at_ns, acceleration_mps2=(0.0, -9.8, 0.0))
+        monitor.note_inputs(replace(WELL, pose=StampedPose(POSE, at_ns), telemetry=board), Mode.DISARMED, at_ns)
+        monitor.note_output(OUTPUT._replace(observation=observation(0.0)), Mode.DISARMED, at_ns)
+    reason = monitor.arming_refusal(replace(WELL, telemetry=replace(board, arrival_ns=NOW_NS - MS)), STATION, NOW_NS)
+    assert reason.startswith("accelerometer in doubt: off gravity by ")
 
 
 def test_a_board_that_reports_disarmed_once_is_not_asked_to_arm() -> None:

@@ -6,12 +6,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from benchmarks.robots.cells import WIDE
-from benchmarks.robots.water import Trouble, TroubledFleet, TroubledPlant
 from groundstation.planning import planner
 from shoal.config.experiment import load_experiment
 from shoal.messages.codec import Header
 from shoal.messages.messages import Command, DriveVelocity, Guidance, Mode, Order, RobotState, required
+from tests.flights.cells import WIDE
+from tests.flights.water import Trouble, TroubledFleet, TroubledPlant
+
+pytestmark = pytest.mark.long
 
 FASTEST_MPS = 0.48  # of the vehicle file; the plant's full thrust gives 5 % more
 POSES = ("sim.numeric.pose_noise_m=0.0015", "sim.numeric.yaw_noise_rad=0.008")

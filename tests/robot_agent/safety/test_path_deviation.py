@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from benchmarks.flights import flew
-from benchmarks.robot_agent.thrusters import STILL
 from robot_agent.safety.path_deviation import PathDeviationMonitor
 from shoal.config.experiment import load_experiment
 from shoal.messages.messages import Mode, required
+from tests.flights.broken_thrusters import STILL
+from tests.flights.scene_flights import flew
 
 STEP_NS = 50_000_000
 

@@ -5,16 +5,18 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.robots import cells
-from benchmarks.robots.figures import CAUSES
-from benchmarks.robots.flights import STOPPED, FlightLog, fly
 from shoal.messages.messages import Guidance, Mode, required
+from tests.flights import cells
+from tests.flights.figures import CAUSES
+from tests.flights.grid_flights import STOPPED, FlightLog, fly
+
+pytestmark = pytest.mark.long
 
 NEW_LAW = ("controller.law=nmpc", "controller.estimator.kind=kalman")
 
 
 def flown(monkeypatch: pytest.MonkeyPatch, cell: str, number: int, path_s: float) -> FlightLog:
-    """A flight of the grid (benchmarks/robots), cut to `path_s`."""
+    """A flight of the grid (tests/flights/cells.py), cut to `path_s`."""
     monkeypatch.setitem(cells.CELLS, cell, replace(cells.CELLS[cell], path_s=path_s, holds=False))
     return fly(cells.draw(cell, number, NEW_LAW), 20.0)
 

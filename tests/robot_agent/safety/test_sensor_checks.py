@@ -10,7 +10,7 @@ import pytest
 
 from robot_agent.inputs import Inputs
 from robot_agent.preflight.rehearsal import ARM_AFTER, rehearse
-from robot_agent.safety.sensor_checks import GyroscopeCheck, StuckSensorCheck
+from robot_agent.safety.sensor_checks import LEVEL_MPS2, NOISE_M, NOISE_RADPS, GravityCheck, GyroscopeCheck, StuckSensorCheck
 from shoal.config.experiment import load_experiment
 
 NS = 1_000_000_000
@@ -69,7 +69,7 @@ def test_a_heading_that_leaps_once_and_a_gap_are_no_turn() -> None:
 
 
 def stuck(samples: list[float], gap_s: float = 0.0) -> float:
-    check = StuckSensorCheck()
+    check = StuckSensorCheck(NOISE_M)
     for k, value in enumerate(samples):
         check.note_sample(value, round((1.0 + k * PERIOD_S + (gap_s if k >= len(samples) // 2 else 0.0)) * NS))
     return check.same_s
@@ -90,6 +90,62 @@ def test_a_depth_without_noise_is_not_judged() -> None:
     assert stuck(np.random.default_rng(1).normal(0.3, 0.002, 2).tolist() * 1, gap_s=20.0) == 0.0
 
 
+Force = tuple[float, float, float]
+
+
+def gravity(force_mps2: Callable[[int], Force], noise_mps2: float = 0.03) -> tuple[GravityCheck, float]:
+    """A check after 60 s of a specific force with noise, rounded as on the link, and the first time of a doubt."""
+    check, random, first_s = GravityCheck(), np.random.default_rng(1), math.inf
+    for k in range(1200):
+        noise = random.normal(0.0, noise_mps2, 3)
+        force = [round(value + more, 2) for value, more in zip(force_mps2(k), noise, strict=True)]
+        check.note_sample(force, round((1.0 + k * PERIOD_S) * NS))
+        if check.doubt and math.isinf(first_s):
+            first_s = k * PERIOD_S
+    return check, first_s
+
+
+def leaning(angle_rad: float) -> tuple[float, float, float]:
+    return 0.0, -9.81 * math.sin(angle_rad), -9.81 * math.cos(angle_rad)
+
+
+@pytest.mark.parametrize("angle_rad", [0.6, math.pi / 2, math.pi])
+def test_gravity_that_is_not_below_is_in_doubt_within_2_s(angle_rad: float) -> None:
+    check, first_s = gravity(lambda k: leaning(angle_rad))
+    assert first_s < 2.0
+    assert check.doubt.startswith("off gravity by ") and check.doubt.endswith(": it is wrong or turned, or the robot leans")
+
+
+def test_an_accelerometer_that_measures_nothing_is_in_doubt() -> None:
+    assert gravity(lambda k: (0.0, 0.0, 0.0))[1] < 1.0
+
+
+def test_a_right_accelerometer_passes_with_offset_and_scale_in_waves_and_with_leaps() -> None:
+    """0.08 g of offset and 3 % of scale, as an MPU-6050 may have; 15 degrees of swing; 1 m/s^2 of waves; leaps."""
+
+    def force(k: int) -> tuple[float, float, float]:
+        x, y, z = leaning(0.26 * math.sin(0.1 * k))
+        wave = math.sin(0.15 * k)
+        return (300.0, 0.0, 0.0) if k % 100 == 50 else (x + 0.5 + wave, 1.03 * y + 0.5, 1.03 * z + 0.8 + wave)
+
+    assert math.isinf(gravity(force)[1])
+
+
+def test_a_force_that_repeats_itself_after_noise_is_found_and_one_without_noise_is_not_judged() -> None:
+    check, at_ns = gravity(lambda k: LEVEL_MPS2)[0], 61 * NS
+    for k in range(62):
+        check.note_sample((0.01, 0.0, -9.8), at_ns + k * NS // 20)
+    assert check.doubt == "exactly the same for 3.0 s"
+    assert math.isinf(gravity(lambda k: LEVEL_MPS2, 0.0)[1])
+
+
+def test_a_gyroscope_that_repeats_itself_is_found_without_a_turn() -> None:
+    check, random = StuckSensorCheck(NOISE_RADPS), np.random.default_rng(1)
+    for k in range(200):
+        check.note_sample(random.normal(0.0, 0.001) if k < 120 else 0.0, round((1.0 + k * PERIOD_S) * NS))
+    assert check.same_s == pytest.approx(3.95)
+
+
 def fault_of(change: Callable[[Inputs, int], Inputs], steps: int) -> str:
     """The fault of a rehearsed flight whose inputs are changed from the 60th step on."""
     fault = ""
@@ -108,3 +164,7 @@ def test_a_flight_ends_with_the_name_of_the_sensor() -> None:
     assert frozen == "depth sensor stuck: exactly the same for 3.0 s"
     dead = fault_of(lambda inputs, k: replace(inputs, telemetry=replace(inputs.telemetry, yaw_rate_radps=0.0)), 160)
     assert dead.startswith("gyroscope in doubt: its turn and the camera's differ by 0.")
+    turned = fault_of(
+        lambda inputs, k: replace(inputs, telemetry=replace(inputs.telemetry, acceleration_mps2=(0, 9.8, 0))), 60
+    )
+    assert turned.startswith("accelerometer in doubt: off gravity by ")

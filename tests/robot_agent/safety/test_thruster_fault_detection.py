@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from benchmarks.flights import flew, rough_water
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from shoal.config.experiment import load_experiment
 from shoal.frames import Array
 from shoal.messages.messages import Mode
+from tests.flights.scene_flights import flew, rough_water
 
 pytestmark = pytest.mark.long
 

@@ -4,35 +4,46 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.robots import cells, flights
-from benchmarks.robots.water import TroubledPlant
 from shoal.mavlink.agent_link import Telemetry
 from shoal.messages.messages import Mode
+from tests.flights import cells, grid_flights
+from tests.flights.water import TroubledPlant
 
-FROZEN_NS = 10_000_000_000
+pytestmark = pytest.mark.long
+
+FROZEN_NS, TURNED_NS = 10_000_000_000, 5_000_000_000
 SLOW = pytest.mark.slow
 
 
 class WrongPlant(TroubledPlant):
-    """Plant whose gyroscope measures `share` of the rate, or whose depth sensor stays at what it read after 10 s."""
+    """Plant whose gyroscope measures `share` of the rate, whose accelerometer is mounted otherwise from the 5th second
+    on, or of which sensors stay at what they read after 10 s."""
 
     share = 1.0
-    freezes = False
+    freezes = turns = sticks = False
     last_m = 0.0
+    last: Telemetry | None = None
 
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
         """The board's measurements, made wrong."""
         telemetry = super().telemetry(i, now_ns)
         if not self.freezes or now_ns < FROZEN_NS:
             self.last_m = telemetry.depth_m
-        return replace(telemetry, yaw_rate_radps=self.share * telemetry.yaw_rate_radps, depth_m=self.last_m)
+        if self.last is None or now_ns < FROZEN_NS:
+            self.last = telemetry
+        x, y, z = telemetry.acceleration_mps2
+        imu = self.last if self.sticks else telemetry
+        force_mps2 = (x, z, -y) if self.turns and now_ns > TURNED_NS else imu.acceleration_mps2
+        return replace(
+            telemetry, yaw_rate_radps=self.share * imu.yaw_rate_radps, acceleration_mps2=force_mps2, depth_m=self.last_m
+        )
 
 
-def flown(monkeypatch: pytest.MonkeyPatch, number: int) -> flights.FlightLog:
-    """An ordinary flight of the grid (benchmarks/robots), which ends soon after the robot has stopped."""
-    monkeypatch.setattr(flights, "TroubledPlant", WrongPlant)
+def flown(monkeypatch: pytest.MonkeyPatch, number: int) -> grid_flights.FlightLog:
+    """An ordinary flight of the grid (tests/flights/cells.py), which ends soon after the robot has stopped."""
+    monkeypatch.setattr(grid_flights, "TroubledPlant", WrongPlant)
     monkeypatch.setitem(cells.CELLS, "ordinary", replace(cells.CELLS["ordinary"], holds=False))
-    return flights.fly(cells.draw("ordinary", number), 20.0)
+    return grid_flights.fly(cells.draw("ordinary", number), 20.0)
 
 
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW)])
@@ -57,3 +68,21 @@ def test_depth_that_stays_the_same_stops_the_robot_near_its_depth(monkeypatch: p
     assert log.states[0][-1].fault.startswith("depth sensor stuck: exactly the same for 3.")
     flew = [k for k, state in enumerate(log.states[0]) if state.mode is Mode.TRACKING]
     assert abs(log.truth[flew[-1], 0, 2] - log.path[flew[-1], 0, 2]) < 0.1
+
+
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW)])
+@pytest.mark.parametrize(
+    ("wrong", "faults", "begun_s", "within_s"),
+    [
+        ("turns", ("accelerometer in doubt: off gravity by ",), 5.0, 1.5),
+        ("sticks", ("gyroscope in doubt: ", "accelerometer in doubt: ", "thrusters do not do as told"), 10.0, 3.5),
+    ],
+)
+def test_an_imu_that_is_mounted_otherwise_or_stuck_stops_the_robot(
+    monkeypatch: pytest.MonkeyPatch, number: int, wrong: str, faults: tuple[str, ...], begun_s: float, within_s: float
+) -> None:
+    monkeypatch.setattr(WrongPlant, wrong, True)
+    log = flown(monkeypatch, number)
+    assert log.states[0][-1].mode is Mode.FAULT and log.states[0][-1].fault.startswith(faults)
+    stopped = next(k for k, state in enumerate(log.states[0]) if state.mode is Mode.FAULT)
+    assert begun_s - 2.0 < (stopped + 1) * log.period_s < begun_s + within_s  # the flight begins later than the clock

@@ -22,8 +22,8 @@ from robot_agent.numbers import FACTOR
 from shoal.kernels.decorator import kernel
 """
 KERNEL = '''
-@kernel("f8(f8)")
-def {name}(x):
+@kernel
+def {name}(x: float) -> float:
     """Times a number."""
     return {place}.0 * FACTOR * x
 '''

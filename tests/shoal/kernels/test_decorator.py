@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[3]
+from tests.source_tree import ROOT, nodes, tree_of
+
 PACKAGES = ("groundstation", "localizer", "robot_agent", "sim_bridge", "shoal")
 
 WITH_A_PART = """
@@ -17,12 +18,12 @@ from shoal.kernels.decorator import kernel
 
 NEVER_IN_THE_CACHE = %d
 
-@kernel("f8(f8)", part=True)
-def half(x):
+@kernel(part=True)
+def half(x: float) -> float:
     return x / 2.0 + 0.0 * NEVER_IN_THE_CACHE
 
-@kernel("f8(i8)")
-def quarter(x):
+@kernel
+def quarter(x: int) -> float:
     return half(x) / 2.0
 """
 
@@ -40,10 +41,9 @@ def _kernels(tree: ast.Module) -> list[tuple[ast.FunctionDef, ast.expr]]:
 
 def _offences(tree: ast.Module) -> Iterator[str]:
     """Breaches of the rules of the decorator. (That a kernel calls only kernels, its stamp refuses at the import.)"""
-    for function, mark in _kernels(tree):
-        is_named = isinstance(mark, ast.Call) and bool(mark.args)  # the older form: Numba reads it at the import
+    for function, _ in _kernels(tree):
         parameters = function.args.args
-        if not is_named and not (function.returns and all(parameter.annotation for parameter in parameters)):
+        if not (function.returns and all(parameter.annotation for parameter in parameters)):
             yield f"{function.name}: no types"
         if ast.get_docstring(function) is None:
             yield f"{function.name}: no docstring"
@@ -64,8 +64,8 @@ def a(x):
     "Doc."
     return other(x)
 
-@kernel("f8(f8)")
-def b(x):
+@kernel
+def b(x: float) -> float:
     raise ValueError
 """
     assert len(list(_offences(ast.parse(offender)))) == 3  # no types; no docstring, raise
@@ -75,7 +75,7 @@ def b(x):
 
 @pytest.mark.parametrize("source", _sources())
 def test_kernels_have_types_and_raise_nothing(source: str) -> None:
-    assert not list(_offences(ast.parse((ROOT / source).read_text(encoding="utf-8"))))
+    assert not list(_offences(tree_of(source)))
 
 
 def _called_from_python() -> set[str]:
@@ -83,9 +83,9 @@ def _called_from_python() -> set[str]:
     mentioned: set[str] = set()
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
+            tree = tree_of(str(path.relative_to(ROOT)))
             own, kernels = _module(path), {id(function) for function, _ in _kernels(tree)}
-            imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+            imports = [node for node in nodes(tree) if isinstance(node, ast.ImportFrom)]
             full = {alias.asname or alias.name: f"{node.module}.{alias.name}" for node in imports for alias in node.names}
             for node in (inner for top in tree.body if id(top) not in kernels for inner in ast.walk(top)):
                 if isinstance(node, ast.Name):
@@ -103,7 +103,7 @@ def test_parts_are_the_kernels_that_only_kernels_call() -> None:
     """A kernel of its own costs time and memory at each start; a part that Python calls is compiled in flight."""
     mentioned, wrong = _called_from_python(), []
     for source in _sources():
-        for function, mark in _kernels(ast.parse((ROOT / source).read_text(encoding="utf-8"))):
+        for function, mark in _kernels(tree_of(source)):
             name = f"{_module(ROOT / source)}.{function.name}"
             is_part = isinstance(mark, ast.Call) and any(keyword.arg == "part" for keyword in mark.keywords)
             if is_part is (name in mentioned):
@@ -120,6 +120,6 @@ def test_a_part_is_compiled_for_its_own_signature_and_not_loaded_again(tmp_path:
         assert spec is not None and spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        assert [str(of) for of in module.half.overloads] == ["(float64,)"] * has_compiled
+        assert [str(of) for of in module.half.dispatcher.overloads] == ["(float64,)"] * has_compiled
         assert module.quarter(3) == 0.75
     assert module.half(3.0) == 1.5  # a test may call it

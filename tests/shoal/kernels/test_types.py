@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba.core.sigutils import normalize_signature
 
-from shoal.kernels.decorator import Kernel, kernel
+from shoal.kernels.decorator import CHECK_EVERY, Kernel, kernel
 from shoal.kernels.stamp import stamp_of
 from shoal.kernels.types import Floats, Ints, Table, signature_of
 
@@ -50,8 +50,8 @@ def moved(body: Rows, by: Pair, turns: bool) -> tuple[Pair, float]:
     return (Pair(-total.across, total.along) if turns else total), math.sqrt(body.mass.along)
 
 
-@kernel("f8(f8, f8)")
-def of_the_older_form(a: float, b: float) -> float:
+@kernel
+def of_numbers(a: float, b: float) -> float:
     """Calls a kernel with records."""
     return scaled(Pair(a, b), 3.0).across
 
@@ -69,7 +69,7 @@ def test_records_go_in_and_come_out() -> None:
     turned, root = moved(BODY, Pair(np.float64(0.5), 0.25), TRUE)
     assert (turned, root) == (Pair(-6.5, 5.0), 2.0)
     assert type(turned) is Pair
-    assert of_the_older_form(1.0, 2.0) == 6.0
+    assert of_numbers(1.0, 2.0) == 6.0
     assert scaled(BY, 2) == Pair(1.0, 0.5)  # a part can be called by itself
 
 
@@ -93,6 +93,21 @@ def test_wrong_argument_is_named(arguments: tuple[object, ...], message: str) ->
     assert isinstance(moved, Kernel)
     with pytest.raises(TypeError, match=message):
         moved(*arguments)
+
+
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled, so nothing is checked")
+@pytest.mark.parametrize(
+    "wrong, within",
+    [((BODY, OtherPair(0.5, 0.25)), 1), ((BODY._replace(rows=np.asfortranarray(BODY.rows)), BY), CHECK_EVERY)],
+)
+def test_wrong_argument_is_noticed_where_many_right_ones_went_before(wrong: tuple[Any, Any], within: int) -> None:
+    """Of another class at once; of the right class, with something wrong in it, soon."""
+    went = 0
+    with pytest.raises(TypeError, match="moved: b"):
+        for body, by in [(BODY, BY)] * 40 + [wrong] * within:
+            moved(body, by, False)
+            went += 1
+    assert went >= 40
 
 
 def test_signature_is_that_of_the_annotations() -> None:

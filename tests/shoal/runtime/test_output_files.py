@@ -10,7 +10,16 @@ from pathlib import Path
 import pytest
 
 from shoal.errors import ConfigError
-from shoal.runtime.output_files import CAMPAIGN, RUN, check_output, replace_text, replacing, run_folder
+from shoal.runtime.output_files import (
+    CAMPAIGN,
+    RUN,
+    check_output,
+    dated,
+    replace_text,
+    replacing,
+    replacing_folder,
+    run_folder,
+)
 
 
 def test_a_link_in_the_way_is_replaced_and_not_followed(tmp_path: Path) -> None:
@@ -113,3 +122,27 @@ def test_a_run_folder_stays_where_something_was_put_and_nowhere_else(tmp_path: P
     with pytest.raises(ConfigError), run_folder(out, "pool"):
         raise ConfigError("refused")
     assert list(out.iterdir()) == [folder]
+
+
+def test_an_earlier_file_is_kept_whole_where_there_are_no_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a USB stick's file system."""
+
+    def refuse(name: Path, path: Path) -> None:
+        raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(Path, "hardlink_to", refuse)
+    path = tmp_path / "lens.toml"
+    path.write_text("the earlier lens")
+    with replacing(path, keep=dated) as new:
+        new.write(b"the new lens")
+    (kept,) = (file for file in tmp_path.iterdir() if file != path)
+    assert (path.read_text(), kept.read_text()) == ("the new lens", "the earlier lens")
+
+
+def test_a_folder_that_replaced_another_leaves_nothing_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "pages"
+    for text in ("old", "new"):
+        with replacing_folder(path) as folder:
+            (folder / "page.html").write_text(text)
+    assert list(tmp_path.iterdir()) == [path]
+    assert (path / "page.html").read_text() == "new"

@@ -1,4 +1,4 @@
-"""Text that cannot steer a terminal."""
+"""Text from others cannot steer a terminal that shows it."""
 
 import io
 import unicodedata

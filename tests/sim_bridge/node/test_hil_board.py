@@ -83,6 +83,23 @@ class HilPool:
             time.sleep(0.005)
         return done()
 
+    def follows(self) -> bool:
+        """Have the board armed, and thrust: again if this machine is so busy that the board disarms for want of pulses."""
+        for _ in range(20):
+            self.pulses = NEUTRAL
+            self.run(10.0, lambda: self.hil.armed)
+            self.pulses = AHEAD
+            if self.run(10.0, lambda: self.hil.pulses == AHEAD or not self.hil.armed) and self.hil.pulses == AHEAD:
+                return True
+        return False
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine a board that is well may be silent for longer than a run allows."""
+    monkeypatch.setattr("sim_bridge.node.hil_board.SILENT_NS", 4_000_000_000)
+    monkeypatch.setattr("sim_bridge.node.hil_board.MODE_NS", 8_000_000_000)
+
 
 def address(kind: str, folder: Path) -> tuple[str, str]:
     """A board's own address, and its computer's."""
@@ -100,9 +117,7 @@ def flying(kind: str, folder: Path) -> Iterator[tuple[HilPool, "subprocess.Popen
         link, _ = connect(1, theirs, None, insecure=False)
         try:
             pool = HilPool(theirs, link)
-            assert pool.run(10.0, lambda: pool.hil.armed)
-            pool.pulses = AHEAD
-            assert pool.run(10.0, lambda: pool.hil.pulses == AHEAD)
+            assert pool.follows()
             yield pool, process, (ours, theirs)
         finally:
             link.close()
@@ -112,10 +127,10 @@ def flying(kind: str, folder: Path) -> Iterator[tuple[HilPool, "subprocess.Popen
 def test_outputs_of_a_board_in_hil_mode_drive_the_water_until_it_is_killed(kind: str, tmp_path: Path) -> None:
     with flying(kind, tmp_path) as (pool, process, (_, where)):
         assert pool.run(5.0, lambda: abs(pool.agent.telemetry.depth_m - 2.0) < 0.1)
-        assert pool.agent.telemetry.hil and not pool.hil.neutral
+        assert pool.agent.telemetry.hil and pool.follows() and not pool.hil.neutral
         process.kill()
         with pytest.raises(Failed, match=f"robot 1: the board at {where} is silent for "):
-            pool.run(10.0)
+            pool.run(30.0)
         (tmp_path / "plug").unlink(missing_ok=True)
 
 
@@ -124,7 +139,7 @@ def test_a_board_that_freezes_ends_the_run(tmp_path: Path) -> None:
         process.send_signal(signal.SIGSTOP)
         try:
             with pytest.raises(Failed, match=r"is silent for \d"):
-                pool.run(10.0)
+                pool.run(30.0)
         finally:
             process.send_signal(signal.SIGCONT)
 
@@ -141,7 +156,7 @@ def test_a_board_that_leaves_hil_mode_ends_the_run(tmp_path: Path) -> None:
         try:
             other.send(ParameterClient(1).set("HIL_MODE", 0.0))
             with pytest.raises(Failed, match="is not in HIL mode"):
-                pool.run(10.0)
+                pool.run(30.0)
         finally:
             other.close()
 
@@ -153,7 +168,7 @@ def test_a_board_that_was_restarted_is_not_armed_and_ends_the_run(tmp_path: Path
         (tmp_path / "plug").unlink()
         with board(ours, tmp_path / "kept") as again:
             with pytest.raises(Failed, match=r"not in HIL mode|is silent for"):
-                pool.run(10.0)
+                pool.run(30.0)
             again.terminate()
             assert again.stderr is not None
             assert " armed," not in again.stderr.read()
@@ -167,7 +182,7 @@ def test_a_board_outside_hil_mode_is_refused_and_never_gets_an_arm(kind: str, tm
         try:
             pool = HilPool(theirs, link)  # as if it had left HIL mode since `connect`
             with pytest.raises(Failed, match=f"robot 1: the board at {theirs} is not in HIL mode"):
-                pool.run(10.0)
+                pool.run(30.0)
             assert pool.link.arms == 0
         finally:
             link.close()
@@ -193,7 +208,7 @@ def test_a_signed_board_flies_with_its_key_and_says_why_without(tmp_path: Path, 
             signing.stamps._path, signing.stamps._limit = tmp_path / "gone" / "stamps", 0
             assert pool.run(15.0, lambda: "the times of signatures cannot be kept" in caplog.text)
             pool.run(0.3)
-            assert pool.hil.armed
+            assert pool.run(15.0, lambda: pool.hil.armed)
         finally:
             link.close()
 

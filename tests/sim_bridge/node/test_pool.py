@@ -1,5 +1,6 @@
 """The pool on the wires, by the wall clock: what comes of every exposure."""
 
+import logging
 import signal
 import subprocess
 import sys
@@ -9,17 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.logs.recorder import Recorder
 from shoal.bus.bus import Bus, Received
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.codec import Header
-from shoal.messages.messages import ALONE, Mode, RobotState
+from shoal.messages.codec import Header, decode, encode
+from shoal.messages.messages import ALONE, Event, FaultRequest, Mode, RobotState
 from shoal.messages.topics import Topic
-from shoal.runtime.runtime import Failed, Stop
+from shoal.runtime.runtime import Failed, Stop, WallClock
 from sim_bridge.camera.renderer import Renderer
+from sim_bridge.in_process.resume import faults_by_hand
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
@@ -50,6 +53,35 @@ def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
     PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
     assert [header.stamp_ns for header in headers] == exposed
     assert min(header.age_ns for header in headers) >= 200_000_000
+
+
+@pytest.mark.timeout(60)
+def test_what_a_person_breaks_is_told_in_words_that_repeat_it(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """By the log's lines, as `sim-bridge sil --from` takes them."""
+    caplog.set_level(logging.INFO, "shoal")
+    experiment, lines = load_experiment("pool", ["sim.latency_s=0", ROBOT]), list[str]()
+    hub, stop = MemoryHub(), Stop(install=False)
+    person, clock = Bus(MemoryTransport(hub)), WallClock()
+
+    def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        event = decode(Event, payload, key, topic.name)
+        lines.append(event.message)
+        if event.message == "robots are in the water":
+            person.publish(topics.FAULT, FaultRequest("thruster 1/3 dead", 5.0), clock.now_ns())
+            person.publish(topics.FAULT, FaultRequest("battery 1 sag"), clock.now_ns())
+        elif "battery" in event.message:
+            stop.request()
+
+    person.subscribe(topics.EVENT, None, hear)
+    sockets = UdpPorts(free_base_port((1,)), (1,), experiment.seed)
+    PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
+    recorder = Recorder(tmp_path / "run.mcap", "name = 'pool'\n", {})
+    for k, line in enumerate(lines, start=1):
+        recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
+    recorder.close()
+    repeated = faults_by_hand(tmp_path)
+    assert [line.partition(" ")[2] for line in repeated] == ["for=5 thruster 1/3 dead", "battery 1 sag"]
+    assert load_experiment("pool", faults=repeated).sim.faults[0].for_s == 5.0
 
 
 @pytest.mark.long

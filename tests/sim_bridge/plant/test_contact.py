@@ -1,4 +1,4 @@
-"""Contact with islands and among many."""
+"""An island stops a robot and lets it slide off, and robots in a crowd push one another like any pair."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,7 @@
-"""The plant against equations written a second time (vectors in the pool frame, another integrator), closed forms,
-conservation laws and symmetries."""
+"""The plant agrees with equations written a second time, closed forms, conservation laws and symmetries.
+
+The second form has vectors in the pool frame and another integrator.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

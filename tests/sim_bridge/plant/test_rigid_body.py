@@ -1,5 +1,7 @@
-"""The tilting hull against equations written a second time (rotation matrices, impulses in the pool frame), closed forms of
-small oscillations, energy, and the level hull that it must contain."""
+"""The tilting hull agrees with equations written a second time, small oscillations, energy, and the level hull.
+
+The second form has rotation matrices, and impulses in the pool frame.
+"""
 
 import itertools
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Process faults against real processes."""
+"""Process faults stop, continue and kill real processes, set their clocks and fill the disk of the log."""
 
 import errno
 import os

@@ -8,6 +8,7 @@ import tomllib
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,12 +16,12 @@ import tomli_w
 
 from groundstation.analysis.comparison import Comparison, Variant
 from groundstation.planning import planner
-from shoal.config.experiment import EXPERIMENTS, Experiment, load_experiment
+from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages.messages import required
 from shoal.runtime.version import code
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
-from tests.closed_loop.numeric import flown
+from tests.flights.scene_flights import flown_once
 from tests.planted import executed, installed, plant
 
 pytestmark = pytest.mark.long
@@ -33,6 +34,17 @@ class Own:
     def learn(self, now, short, period_s): ...
     def reset(self): ...
 """
+
+
+class Idle:
+    """A law that never pushes: its robots leave their paths, and give up."""
+
+    def __init__(self, *about: object) -> None: ...
+    def wrench(self, now: object) -> tuple[float, float, float]:
+        return 0.0, 0.0, 0.0
+
+    def learn(self, now: object, short: object, period_s: float) -> None: ...
+    def reset(self) -> None: ...
 
 
 def task(experiment: Experiment, with_traces: bool = True) -> FlightTask:
@@ -69,7 +81,7 @@ def test_scattered_robots_begin_outside_of_one_another_s_space() -> None:
 
 
 def test_figures_are_those_of_the_flight() -> None:
-    flight = flown("numeric", *SHORT, "controller.law=backstepping")
+    flight = flown_once("numeric", *SHORT, "controller.law=backstepping")
     figures = fly(task(flight.experiment)).figures
     error, states = flight.error[1:], [each[1:] for each in flight.states]  # time 0 is the start itself
     distance = np.sqrt((error[:, :, :3] ** 2).sum(axis=2))
@@ -91,6 +103,14 @@ def test_figures_are_those_of_the_flight() -> None:
     steps = np.array([[required(s.control).wrench_step for s in each] for each in states]) / [0.3, 0.3, 0.1]
     assert figures.input_step_rms == pytest.approx(np.sqrt((steps**2).mean(axis=1)).max())
     assert figures.under_way == 1.0
+
+
+def test_a_law_that_gives_up_is_compared_all_the_same() -> None:
+    """Its robots go to FAULT, at neutral from then on, and their errors grow on."""
+    flight = fly(task(load_experiment("numeric", [*SHORT, f"controller.law={__name__}:Idle"])))
+    figures, traces = flight.figures, flight.traces
+    assert 0.0 < figures.under_way < 0.95 and figures.rms_after_20s_m > 0.5 and figures.input_step_rms == 0.0
+    assert traces is not None and traces.applied_n[0][-1] == traces.wanted_n[0][-1] == 0.0
 
 
 def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_look_at() -> None:
@@ -134,6 +154,36 @@ def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) 
     assert comparison.commit == code().commit
     here = task(load_experiment("numeric", ["duration_s=21.0", "controller.law=pid"]))
     assert [fly(replace(here, starts=scattered(here.starts, 0.2, 3, 0.6), seed=3))] == comparison.variants[1].flights
+
+
+class Hasty:
+    """A law that fails the robot: it pushes away from the path until the robot is beyond its limits."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def wrench(self, now: Any) -> tuple[float, ...]:
+        return tuple(-9.0 * e - 3.0 for e in now.error)
+
+    def learn(self, *_: object) -> None: ...
+
+    def reset(self) -> None: ...
+
+
+def test_a_law_that_loses_its_robots_is_compared_and_said_to_have_failed() -> None:
+    """Robots that gave up are neutral for the rest of the flight: they want nothing and put out nothing."""
+    experiment = load_experiment("pool", [*SHORT, NO_CAMERA, f"controller.law={__name__}:Hasty", "controller.own=[1.0]"])
+    figures = fly(task(experiment)).figures
+    assert 0.0 < figures.under_way < 0.9 and figures.rms_m > 0.3
+
+
+def test_the_time_of_control_steps_is_measured_and_is_no_part_of_what_must_repeat() -> None:
+    numeric = task(load_experiment("numeric", ["duration_s=21"]), with_traces=False)
+    flight = fly(numeric)
+    assert flight.step_us is not None and 10.0 < flight.step_us.median <= flight.step_us.p99 <= flight.step_us.most
+    other = replace(flight, step_us=None)
+    assert other == flight
+    comparison = Comparison("numeric", "", 21.0, 0.0, [], 6.0, [1], [Variant("nmpc", [], [flight])], 0.6, "")
+    assert Comparison.from_json(comparison.to_json()).variants[0].flights[0].step_us == flight.step_us
 
 
 @pytest.mark.parametrize(

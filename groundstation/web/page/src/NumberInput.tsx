@@ -13,7 +13,7 @@ interface Given {
 export function NumberInput({ value, onNumber, ...more }: Given) {
   const field = useRef<HTMLInputElement>(null);
   const show = () => {
-    field.current!.value = String(Number(value.toFixed(4)));
+    if (field.current !== null) field.current.value = String(Number(value.toFixed(4))); // null: it goes away with the focus on it
   };
   useLayoutEffect(() => {
     const typed = field.current!.valueAsNumber;

@@ -13,6 +13,11 @@ export function robotColour(index: number): string {
   return palette[index % palette.length] ?? "#888888";
 }
 
+/** The same on a white page. */
+export function paperColour(index: number): string {
+  return ON_LIGHT[index % ON_LIGHT.length]!;
+}
+
 const cache = new Map<string, string>();
 
 /** A colour of the style sheet, e.g. "--water". */

@@ -3,7 +3,7 @@
 
 import { stepFrames, togglePlay } from "./panels/Replay";
 import { showRuns } from "./panels/Runs";
-import { driveKey } from "./robot/drive";
+import { driveKey, TYPING } from "./robot/drive";
 import { acknowledgeAlarms } from "./sound";
 import { order } from "./link";
 import { closeQuestion } from "./Question";
@@ -44,7 +44,7 @@ function left(target: HTMLElement): boolean {
   const menu = document.querySelector<HTMLDetailsElement>("details.layers[open]");
   if (menu !== null) menu.open = false;
   else if (closeQuestion()) return true;
-  else if (target.matches("select, textarea, input:not([type=checkbox], [type=range])")) target.blur();
+  else if (target.matches(TYPING)) target.blur();
   else if (places.peek() !== null) choosePlaces(false);
   else if (browsing.peek()) showRuns(false);
   else return false;
@@ -77,7 +77,7 @@ let spaceStops = false; // the last key that went down was the Space of a stop
 
 addEventListener("keydown", (event) => {
   const target = event.target as HTMLElement;
-  const typing = target.matches("select, textarea, input:not([type=checkbox], [type=range])");
+  const typing = target.matches(TYPING);
   if ((event.key === "Escape" && !left(target)) || (event.key === " " && event.shiftKey)) {
     event.preventDefault();
     spaceStops = event.key === " ";

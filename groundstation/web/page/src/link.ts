@@ -4,7 +4,7 @@
  * and the browser does not know it yet: then this page is not connected, and after a while it tries another connection. */
 
 import { connected, ended, forgetPicture, given, live, now, refusal, roundTripMs, take, wantedCamera } from "./store";
-import type { OrderName, Request } from "./wire";
+import type { Edit, OrderName, Request } from "./wire";
 import { read } from "./wire";
 
 const FIRST_RETRY_MS = 250;
@@ -115,17 +115,17 @@ export function chooseCamera(name: string): void {
   say({ kind: "camera", camera: name });
 }
 
-/** Ask something of the whole fleet, or of one robot; what becomes of it appears in `given`. A stop that is not answered, because it cannot be
+/** Ask something of the whole fleet, or of one robot; what becomes of it appears in `given`, `shown` for `text`. A stop that is not answered, because it cannot be
  * sent now or goes into a connection that is dead and does not know it yet, is sent on return. */
-export function order(name: OrderName, via: [number, number][] = [], robot = 0, form = ""): void {
+export function order(name: OrderName, via: [number, number][] = [], robot = 0, text = "", shown = text, edit?: Edit): void {
   if (name === "stop" && stopAsked) {
     sendStop(); // pressed again: the same request
     return;
   }
   const n = nextSerial();
   if (name === "stop") stopAsked = n;
-  const text = form !== "" ? `${name} ${form}` : robot === 0 ? name : `${name} ${robot}`;
-  give(text, { kind: "order", n, order: name, via_m: via, robot, form, seen_ms: seenMs() });
+  const said = shown !== "" ? `${name} ${shown}` : robot === 0 ? name : `${name} ${robot}`;
+  give(said, { kind: "order", n, order: name, via_m: via, robot, text, ...(edit === undefined ? {} : { edit }), seen_ms: seenMs() });
 }
 
 function sendStop(): void {

@@ -31,8 +31,8 @@ export interface Estimate {
   eta: Packed; // Pose.
   nu: Packed; // Velocity over ground.
   disturbance: Packed; // Acceleration that the nominal model in still water does not explain.
-  drag_ratio: number; // 0 if it is not learned.
-  thrust_ratio: number; // 0 if it is not learned.
+  drag_ratio: number | null; // None if it is not learned.
+  thrust_ratio: number | null; // None if it is not learned.
 }
 
 /** A control step's goal and result. */
@@ -65,11 +65,11 @@ export interface BoardReading {
 
 /** Ages of a step's inputs, and the time that it took. */
 export interface StepTiming {
-  pose_age_ms: number; // 1e6: there was none.
-  exposure_to_pwm_ms: number;
+  pose_age_ms: number | null; // None until there was one.
+  exposure_to_pwm_ms: number | null; // None until there was a pose.
   step_us: number; // Duration of the whole control step.
   missed_deadlines: number;
-  board_age_ms: number; // 1e6: it was never heard.
+  board_age_ms: number | null; // None until it was heard.
   board_round_trip_ms: number;
   board_clock_offset_s: number; // The board's clock minus the robot's clock.
 }

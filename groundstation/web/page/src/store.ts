@@ -2,7 +2,7 @@
 
 import { computed, signal } from "@preact/signals";
 import type { RobotState } from "./messages";
-import type { Alarm, Formed, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RunList, Scene, Snapshot, Tried } from "./wire";
+import type { Alarm, Drafted, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RunList, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
 const MOST_LINES = 500;
@@ -58,7 +58,7 @@ export const given = signal<Given[]>([]);
 export const selected = signal(0); // robot; 0 is none
 export const also = signal<ReadonlySet<number>>(new Set()); // robots that are chosen besides: what several may do, all of them do
 export const tried = signal<Tried | null>(null);
-export const formed = signal<Formed | null>(null); // the answer about another form
+export const drafted = signal<Drafted | null>(null); // the answer about another form or path
 export const saved = signal<{ n: number; ok: boolean; problems: string[]; path?: string } | null>(null);
 export const editing = signal(false);
 export const browsing = signal(false); // the list of runs is open
@@ -263,8 +263,8 @@ export function take(frame: Frame): void {
     case "tried":
       tried.value = frame;
       break;
-    case "formed":
-      formed.value = frame;
+    case "drafted":
+      drafted.value = frame;
       drawSoon();
       break;
     case "chosen":

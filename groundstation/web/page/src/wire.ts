@@ -26,6 +26,21 @@ interface WaypointPath {
   speed_mps: number;
   depth_m: number;
   start_index: number;
+  laps: number;
+  corner: Corner;
+  corner_m: number;
+  stop: boolean;
+}
+
+export type Corner = "smooth" | "round" | "stop";
+
+/** A figure of a plan, the worst of all robots, and what is allowed: at least, of a distance, else at most. */
+export interface PlanFigure {
+  what: string;
+  unit: string;
+  value: number;
+  limit: number;
+  least: boolean;
 }
 
 interface RoutePath {
@@ -70,6 +85,7 @@ export interface Scene {
   cameras: { name: string; underlay: { columns: number; pool: Packed; picture: Packed } | null }[]; // one without a name, or several
   replay?: { begin_s: number; end_s: number };
   run?: string; // the run's folder
+  loadable?: string[]; // experiments whose path this run's robots can fly
   report: string; // its address; empty if there is none
   end?: RunEnd | null; // what became of it; none while it is flown
   offers?: ("again" | "edited" | "close")[]; // what may follow an ended run
@@ -134,7 +150,7 @@ export interface Alarm {
   text: string;
 }
 
-export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end" | "go" | "formation" | "fault" | "out" | "back-in";
+export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end" | "go" | "formation" | "path" | "fault" | "out" | "back-in";
 
 /** What became of a person's request, by the station's account. */
 export interface Outcome {
@@ -166,6 +182,7 @@ export interface Snapshot {
   requests: Outcome[]; // oldest first
   ended: boolean; // the run is over
   next?: "" | "again" | "edited" | "close"; // of an ended run: what a person has chosen
+  flown?: string; // name of the experiment whose path is flown
   led: { robot: number; text: string }[]; // robots that a person leads one by one
   localizer: (LocalizerStatus & { age_ms: number }) | null;
   obstacles: (Obstacles & { age_ms: number }) | null;
@@ -182,21 +199,18 @@ export interface Tried {
   problems: string[];
   paths?: PathSamples[];
   duration_s?: number;
-  clearance_m?: number;
-  needed_m?: number;
-  fastest_mps?: number;
+  figures?: PlanFigure[];
   nodes_m?: [number, number, number, number][]; // robot, x, y, z
 }
 
-/** What the planner says of another form of the running formation. */
-export interface Formed {
-  k: "formed";
+/** What the planner says of another form or path of the formation. */
+export interface Drafted {
+  k: "drafted";
   n: number;
   ok: boolean;
   problems: string[];
   paths?: PathSamples[];
-  clearance_m?: number;
-  needed_m?: number;
+  figures?: PlanFigure[];
 }
 
 /** A line of the log. */
@@ -247,7 +261,7 @@ export type Frame =
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }
   | { k: "undriven"; robot: number; reason: string }
   | Tried
-  | Formed
+  | Drafted
   | { k: "chosen"; n: number; problems: string[] }
   | ({ k: "runs" } & RunList)
   | { k: "saved"; n: number; ok: boolean; problems: string[]; path?: string };
@@ -259,6 +273,10 @@ export interface Edit {
   points_m?: [number, number][];
   start_index?: number;
   speed_mps?: number;
+  laps?: number;
+  corner?: Corner;
+  corner_m?: number;
+  stop?: boolean;
   diameter_m?: number;
   lap_s?: number;
   depth_m?: number;
@@ -279,8 +297,8 @@ export type Request =
   | { kind: "ack"; n: number }
   | { kind: "take"; over?: boolean }
   | { kind: "release" }
-  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; robot?: number; form?: string; seen_ms: number }
-  | { kind: "form"; n: number; form: string }
+  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; robot?: number; text?: string; edit?: Edit; seen_ms: number }
+  | { kind: "draft"; n: number; order: "formation" | "path"; text: string }
   | { kind: "drive"; robot: number; surge_mps: number; heave_mps: number; yaw_rate_radps: number; seen_ms: number }
   | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean; seen_ms: number }
   | { kind: "try"; n: number; edit: Edit }

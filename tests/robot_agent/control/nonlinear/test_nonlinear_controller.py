@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.flights import flown
 from robot_agent.control.controller import ControlOutput
 from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController, clear_place
 from robot_agent.control.nonlinear.obstacle_rows import NO_BODIES, Surrounds, outlines_of
@@ -25,6 +24,7 @@ from shoal.config.vehicle import Vehicle, load_vehicle
 from shoal.frames import Array
 from shoal.messages.live_gains import tunable_parameters, tuned
 from shoal.messages.messages import DriveVelocity, Obstacles, Plan, Solve, Trajectory, required
+from tests.flights.scene_flights import flown
 from tests.robot_agent.control.drawn_inputs import (
     GOAL,
     POOL,

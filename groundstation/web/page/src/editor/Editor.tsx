@@ -1,11 +1,13 @@
 /** Pool, path, formation and robots by number and by name; dragging happens on the map. */
 
 import { signal } from "@preact/signals";
-import { nextSerial, say } from "../link";
+import { nextSerial, order, say } from "../link";
 import { NumberInput } from "../NumberInput";
 import { after } from "../panels/End";
-import { chosen, connected, inControl, saved, scene, tried } from "../store";
+import { Figures } from "../panels/Figures";
+import { chosen, connected, inControl, saved, scene, shown, tried } from "../store";
 import { adding, pickedName, removePicked } from "./canvas";
+import type { Corner } from "../wire";
 import type { Draft, PathKind } from "./model";
 import { change, draft, freed, ofKind, play, playhead, redo, redoable, reset, rotate, saveNumber, SHAPES, toEdit, undo, undoable, verdict, withRobot } from "./model";
 
@@ -39,10 +41,12 @@ function Verdict() {
   if (answer === null) return <p class="verdict">{connected.value ? "asking the planner ..." : "no connection: the planner cannot be asked"}</p>;
   if (answer.ok) {
     return (
-      <p class="verdict ok" role="status">
-        <b>✓</b> can be flown: closest {answer.clearance_m! > 999 ? "-" : `${answer.clearance_m!.toFixed(2)} m`} (needs {answer.needed_m!.toFixed(2)}), fastest{" "}
-        {answer.fastest_mps!.toFixed(2)} m/s
-      </p>
+      <div class="verdict ok">
+        <p role="status">
+          <b>✓</b> can be flown
+        </p>
+        <Figures figures={answer.figures ?? []} />
+      </div>
     );
   }
   return (
@@ -87,6 +91,26 @@ function SaveForm() {
         </p>
       )}
     </form>
+  );
+}
+
+/** What of an edit the robots that run cannot have; empty if there is nothing of the kind. */
+function foreign(d: Draft): string {
+  const s = scene.value!;
+  const same = (a: unknown, b: unknown) => JSON.stringify(a) === JSON.stringify(b);
+  if (!same([...d.nodes.keys()], s.robots.map(({ id }) => id))) return "another fleet: save it, and start it as a run of its own";
+  return same(d.pool, s.pool_m) && same(d.islands, s.islands) ? "" : "another pool: save it, and start it as a run of its own";
+}
+
+/** In a run: the robots fly the edited path, from a hold at once, at rest with the next start. */
+function FlyHere({ d }: { d: Draft }) {
+  const state = shown.value;
+  if (state === null || scene.value?.mode === "replay") return null;
+  const cannot = !inControl.value ? "take control first" : !state.allowed.includes("path") ? "not under way: Hold first" : !verdict.value?.ok ? "it cannot be flown" : foreign(d);
+  return (
+    <button type="button" class="order start" disabled={cannot !== ""} title={cannot || "its path and places, in this run"} onClick={() => order("path", [], 0, "", "as edited", toEdit(d))}>
+      Fly this here
+    </button>
   );
 }
 
@@ -137,6 +161,30 @@ function Tools({ d }: { d: Draft }) {
   );
 }
 
+/** Laps, and what happens between waypoints and at the last one. */
+function WaypointFields({ d }: { d: Draft }) {
+  return (
+    <>
+      <Number_ text="laps" of="path.laps" unit="" step={1} min={1} value={d.laps} onChange={(laps) => change({ ...d, laps: Math.max(1, Math.round(laps)) })} />
+      <label class="number" title={hint("path.corner")}>
+        <span>corners</span>
+        <select value={d.corner} onChange={(event) => change({ ...d, corner: event.currentTarget.value as Corner })}>
+          <option value="smooth">smooth curve</option>
+          <option value="round">round</option>
+          <option value="stop">stop and turn</option>
+        </select>
+      </label>
+      {d.corner === "round" && (
+        <Number_ text="corners begin" of="path.corner_m" unit="m" step={0.05} min={0.05} value={d.cornerReach} onChange={(cornerReach) => change({ ...d, cornerReach })} />
+      )}
+      <label class="number" title={hint("path.stop")}>
+        <span>stops at the end</span>
+        <input type="checkbox" checked={d.stops} onChange={(event) => change({ ...d, stops: event.currentTarget.checked })} />
+      </label>
+    </>
+  );
+}
+
 function PathFields({ d }: { d: Draft }) {
   return (
     <>
@@ -156,6 +204,7 @@ function PathFields({ d }: { d: Draft }) {
       ) : (
         <Number_ text="speed" of="path.speed_mps" unit="m/s" step={0.01} min={0} value={d.speed} onChange={(speed) => change({ ...d, speed })} />
       )}
+      {d.kind === "waypoints" && <WaypointFields d={d} />}
       <Number_ text="depth" of="path.depth_m" unit="m" step={0.05} min={0} value={d.depth} onChange={(depth) => change({ ...d, depth })} />
       <Number_ text="duration" of="duration_s" unit="s" step={5} min={1} value={d.duration} onChange={(duration) => change({ ...d, duration })} />
     </>
@@ -230,6 +279,7 @@ export function Editor() {
       </h2>
       <p class="hint">Drag waypoints, robots' places, islands, their shores and the pool's corner on the map. Nothing here moves a robot.</p>
       <Verdict />
+      <FlyHere d={d} />
       <FlyNow d={d} />
       <Tools d={d} />
       <h3>Path</h3>

@@ -3,7 +3,7 @@
 import { computed, effect, signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
 import { connected, drawSoon, editing, scene, tried } from "../store";
-import type { Edit, Scene, Shape } from "../wire";
+import type { Corner, Edit, Scene, Shape } from "../wire";
 
 type Point = [number, number];
 export type PathKind = "circle" | "waypoints" | "route";
@@ -17,6 +17,10 @@ export interface Draft {
   diameter: number;
   lap: number;
   speed: number;
+  laps: number;
+  corner: Corner;
+  cornerReach: number; // before a round corner
+  stops: boolean; // at the last waypoint
   depth: number;
   duration: number;
   mode: "translate" | "rotate";
@@ -27,6 +31,7 @@ export interface Draft {
 }
 
 export const SHAPES: Shape[] = ["line", "column", "triangle", "diamond", "circle"]; // the station places them
+const AS_DRAWN = { laps: 1, corner: "smooth" as Corner, cornerReach: 0.5, stops: false };
 const MOST_ROBOTS = 49;
 const TOGETHER_MS = 700; // changes that follow one another so closely are undone together: a drag is one
 
@@ -51,6 +56,7 @@ function fromScene(s: Scene): Draft {
     diameter: circle ? path.diameter_m : 0.5 * Math.min(s.pool_m[0], s.pool_m[1]),
     lap: circle ? path.lap_s : 100,
     speed: circle ? 0.1 : path.speed_mps,
+    ...(path.kind === "waypoints" ? { laps: path.laps, corner: path.corner, cornerReach: path.corner_m, stops: path.stop } : AS_DRAWN),
     depth: path.depth_m,
     duration: s.duration_s,
     mode: s.formation.mode,
@@ -78,7 +84,8 @@ editing.subscribe((on) => {
 });
 
 export function toEdit(d: Draft): Edit {
-  const path: Edit = d.kind === "circle" ? { diameter_m: d.diameter, lap_s: d.lap } : { points_m: d.points, speed_mps: d.speed, ...(d.kind === "waypoints" ? { start_index: d.start } : {}) };
+  const ofWaypoints: Edit = d.kind === "waypoints" ? { start_index: d.start, laps: d.laps, corner: d.corner, corner_m: d.cornerReach, stop: d.stops } : {};
+  const path: Edit = d.kind === "circle" ? { diameter_m: d.diameter, lap_s: d.lap } : { points_m: d.points, speed_mps: d.speed, ...ofWaypoints };
   const nodes: Edit = d.shape === "" ? { nodes_m: Object.fromEntries(d.nodes) } : { shape: d.shape, spacing_m: d.spacing };
   const formation: Edit = { mode: d.mode, scale: d.scale, robots: [...d.nodes.keys()], ...nodes };
   return { pool_m: d.pool, islands_m: d.islands, kind: d.kind, ...path, depth_m: d.depth, duration_s: d.duration, ...formation };
@@ -141,11 +148,13 @@ export function freed(d: Draft): Draft {
   return { ...d, shape: "", nodes: new Map(nodesOf(d)) };
 }
 
-/** Another kind of path, with points from the old one where it had none. */
+/** Another kind of path, with points from the old one where it had none; a circle becomes laps, as many as last. */
 export function ofKind(d: Draft, kind: PathKind): Draft {
   const r = d.diameter / 2;
   const points: Point[] = d.points.length >= 2 ? d.points : [[-r, -r], [r, -r], [r, r], [-r, r]];
-  return { ...d, kind, points: kind === "circle" ? d.points : points, start: 0 };
+  const around = points.reduce((sum, [x, y], k) => sum + Math.hypot(points.at(k - 1)![0] - x, points.at(k - 1)![1] - y), 0);
+  const laps = d.kind === "circle" && kind === "waypoints" ? Math.ceil((1.2 * d.duration * d.speed) / around) : d.laps;
+  return { ...d, kind, points: kind === "circle" ? d.points : points, start: 0, laps };
 }
 
 /** A robot more, beside the last one. */

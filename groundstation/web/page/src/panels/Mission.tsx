@@ -1,7 +1,7 @@
 /** Preflight, orders and what became of them. */
 
 import { order, say } from "../link";
-import { Form, forming, showForm } from "./Form";
+import { OtherFlight, OtherFlightButton } from "./OtherFlight";
 import { TypedPlace } from "./TypedPlace";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
@@ -240,22 +240,6 @@ function GoButton({ state }: { state: Snapshot }) {
   );
 }
 
-function FormButton({ state }: { state: Snapshot }) {
-  const possible = connected.value && inControl.value && state.allowed.includes("formation");
-  return (
-    <button
-      type="button"
-      class="order formation"
-      aria-pressed={forming.value}
-      disabled={!possible && !forming.value}
-      onClick={() => showForm(!forming.value)}
-      title={possible ? "Another shape, spacing or turn of the formation" : "not possible now"}
-    >
-      Formation…
-    </button>
-  );
-}
-
 function Go({ state }: { state: Snapshot }) {
   const chosen = placesFor.value === 0 ? places.value : null;
   const possible = connected.value && inControl.value && state.allowed.includes("go");
@@ -305,6 +289,7 @@ export function Mission() {
       <Stopped state={state} />
       {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
       <Folder state={state} />
+      {state.flown && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}
       <Preflight state={state} />
       <div class="orders">
         {BUTTONS.map((button) => (
@@ -316,12 +301,13 @@ export function Mission() {
           <OrderButton key={button.order} button={button} state={state} />
         ))}
         <GoButton state={state} />
-        <FormButton state={state} />
+        <OtherFlightButton what="formation" text="Formation…" title="Another shape, spacing, turn or order of the formation" state={state} />
+        <OtherFlightButton what="path" text="Path…" title="The path of another experiment, flown by the robots of this run" state={state} />
         <End state={state} />
         {state.allowed.includes("clear-stop") && !idle("clear-stop", state) && <OrderButton button={CLEAR} state={state} />}
       </div>
       <Go state={state} />
-      <Form state={state} />
+      <OtherFlight state={state} />
       <Remark />
       <Given />
     </section>

@@ -13,6 +13,7 @@ import { placeOf } from "../pool/path";
 import { ask } from "../Question";
 import { live, scene, selected } from "../store";
 import type { Scene } from "../wire";
+import { CHOICES, savePlot } from "./save";
 
 const DRAW_EVERY_MS = 200;
 const MANY_EVERY_MS = 500; // fifty curves cost as much as the map
@@ -57,7 +58,7 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
 
 const DASHES = [[], [8, 3], [2, 3], [9, 3, 2, 3]]; // beside the colour: not everybody tells colours apart, and no print does
 
-function dashOf(s: Scene, curve: Chart["curves"][number]): { dash: number[] } | object {
+function dashOf(s: Scene, curve: Chart["curves"][number]): { dash?: number[] } {
   const dash = curve.dash ?? (curve.robot === undefined ? [] : DASHES[placeOf(s, curve.robot) % DASHES.length]!);
   return dash.length > 0 ? { dash } : {};
 }
@@ -113,6 +114,7 @@ function drawPresent(plot: uPlot): void {
 
 function Plot({ slot }: { slot: number }) {
   const ref = useRef<HTMLDivElement>(null);
+  const drawn = useRef<uPlot | null>(null);
   const s = scene.value;
   const chosen = selected.value || (s?.robots[0]?.id ?? 0);
   const all = s === null ? [] : charts(s, chosen);
@@ -129,6 +131,7 @@ function Plot({ slot }: { slot: number }) {
     const many = chart.curves.length > 8;
     const size = () => ({ width: box.clientWidth, height: Math.max(80, box.clientHeight - (many ? 2 : 24)) });
     const plot = new uPlot({ ...options(s, chart, size().width, size().height), ...(many ? { legend: { show: false } } : {}) }, data(), box);
+    drawn.current = plot;
     plot.over.addEventListener("mouseup", () => (zoomed = plot.select.width > 2 || zoomed));
     plot.over.addEventListener("dblclick", () => (zoomed = false));
     const timer = setInterval(() => {
@@ -144,7 +147,16 @@ function Plot({ slot }: { slot: number }) {
       plot.destroy();
     };
   }, [s, chart?.id, chosen, themeSerial.value]);
-  if (chart === undefined) return null;
+  if (s === null || chart === undefined) return null;
+  const save = (what: string) => {
+    const plot = drawn.current;
+    if (plot === null || plot.data[0].length === 0) return;
+    const [times, ...columns] = plot.data as [number[], ...(number | null)[][]];
+    const places = chart.curves.map((curve, k) => (curve.robot === undefined ? FALLBACK[k % 8]! : placeOf(s, curve.robot)));
+    const dashes = chart.curves.map((curve) => dashOf(s, curve).dash ?? []);
+    const { min, max } = plot.scales["x"]!;
+    void savePlot({ chart, times, columns, places, dashes, from_s: min ?? times[0]!, to_s: max ?? times.at(-1)! }, what);
+  };
   const choose = (id: string) => show(slots.value.map((old, k) => (k === slot ? id : old)));
   return (
     <figure class="plot">
@@ -164,6 +176,22 @@ function Plot({ slot }: { slot: number }) {
           </optgroup>
         </select>
         <span class="unit">{chart.unit}</span>
+        <select
+          class="save-as"
+          aria-label={`Save plot ${slot + 1}: ${chart.title}`}
+          value=""
+          onChange={(event) => {
+            save(event.currentTarget.value);
+            event.currentTarget.value = "";
+          }}
+        >
+          <option value="">Save</option>
+          {CHOICES.map(([what, text]) => (
+            <option key={what} value={what}>
+              {text}
+            </option>
+          ))}
+        </select>
       </figcaption>
       <div class="canvas" ref={ref} role="img" aria-label={`${chart.title} over time, ${chart.unit}`} />
     </figure>

@@ -37,8 +37,8 @@ function errorMm(id: number): number | null {
   return 1e3 * Math.hypot(...[0, 1, 2].map((k) => robot.eta[k]! - robot.reference[k]!));
 }
 
-function age(ms: number): string {
-  return ms >= 1e8 ? "never" : ms >= 1e4 ? `${(ms / 1e3).toFixed(0)} s` : ms >= 1e3 ? `${(ms / 1e3).toFixed(1)} s` : `${ms.toFixed(0)} ms`;
+function age(ms: number | null): string {
+  return ms === null || ms >= 1e8 ? "never" : ms >= 1e4 ? `${(ms / 1e3).toFixed(0)} s` : ms >= 1e3 ? `${(ms / 1e3).toFixed(1)} s` : `${ms.toFixed(0)} ms`;
 }
 
 /** 0 to 359: a robot's own heading counts its turns. */
@@ -70,7 +70,7 @@ function Fact({ name, value, bad }: { name: string; value: string; bad?: boolean
 function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }) {
   now.value; // ages go on, also when nothing comes
   const state = robot.state;
-  const [known, board, toPwmMs] = [state?.estimate, state?.board ?? null, state?.timing.exposure_to_pwm_ms ?? 0];
+  const [known, board, toPwmMs] = [state?.estimate, state?.board ?? null, state?.timing.exposure_to_pwm_ms ?? null];
   const stale = isStale(robot, live.sentMs);
   const mm = errorMm(robot.id);
   const chosen = isChosen(robot.id);
@@ -108,8 +108,8 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
           <Fact name="step" value={`${(state.timing.step_us / 1e3).toFixed(1)} ms`} bad={s.mode !== "lockstep" && state.timing.step_us > 500e3 * s.period_s} />
           <Fact name="battery" value={board ? `${board.battery_v.toFixed(1)} V` : "-"} bad={board !== null && board.battery_v < battery[2]} />
           <Fact name="board loss" value={board ? `${(100 * board.loss).toFixed(0)} %` : "-"} bad={board !== null && board.loss > 0.05} />
-          {known && known.drag_ratio > 0 && <Fact name="drag, thrust" value={`× ${known.drag_ratio.toFixed(2)}, ${known.thrust_ratio.toFixed(2)}`} />}
-          <Fact name="to PWM" value={toPwmMs > 0 ? `${toPwmMs.toFixed(0)} ms` : "-"} />
+          {known && known.drag_ratio !== null && known.thrust_ratio !== null && <Fact name="drag, thrust" value={`× ${known.drag_ratio.toFixed(2)}, ${known.thrust_ratio.toFixed(2)}`} />}
+          <Fact name="to PWM" value={toPwmMs !== null ? `${toPwmMs.toFixed(0)} ms` : "-"} />
         </dl>
       )}
       {own.slice(0, 2).map((alarm) => (

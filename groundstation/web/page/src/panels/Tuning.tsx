@@ -28,15 +28,8 @@ const TEXTS: Record<string, [text: string, axes?: string[]]> = {
   "nmpc.hold_turning_m": ["turning, HOLD"],
   "estimator.bandwidth_radps": ["observer"],
   "estimator.yaw_bandwidth_radps": ["observer, yaw"],
-  "estimator.current_rate_radps": ["observer, current"],
-  "guidance.position_gain_per_s2": ["path gain"],
-  "guidance.velocity_gain_per_s": ["path damping"],
-  "guidance.max_correction_rad": ["largest turn"],
-  "guidance.turning_force_n": ["least force to turn"],
-  "guidance.filter_s": ["turn filter"],
-  "guidance.hold_radius_m": ["hold radius"],
 };
-const UNITS: [suffix: string, unit: string][] = [["_radps", "rad/s"], ["_per_s2", "1/s²"], ["_per_s", "1/s"], ["_rad", "rad"], ["_n", "N"], ["_s", "s"], ["_m", "m"]];
+const UNITS: [suffix: string, unit: string][] = [["_radps", "rad/s"], ["_m", "m"]];
 
 /** Knobs by the key of the experiment file: a list is one row. */
 function groups(s: Scene): Group[] {

@@ -3,10 +3,10 @@
 import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { css, robotColour } from "../colours";
-import { forming } from "../panels/Form";
+import { drafting } from "../panels/OtherFlight";
 import { drawEdit, editDrag, editDrop, editGrab } from "../editor/canvas";
 import { chooseCamera } from "../link";
-import { camera, choose, drawSoon, drawWith, editing, formed, live, now, pictureAgeMs, scene, selected, shown } from "../store";
+import { camera, choose, drawSoon, drafted, drawWith, editing, live, now, pictureAgeMs, scene, selected, shown } from "../store";
 import { drawPool } from "./draw";
 import { follow, LAYERS, type Layer, layers, toggle } from "./layers";
 import { addPlace, drawPlaces, places } from "./places";
@@ -253,7 +253,7 @@ export function Pool() {
       drawPool(pen, view);
       canvas.dataset.paths = live.paths.map(({ id }) => id).join(" ");
       if (editing.peek()) drawEdit(pen, view);
-      if (forming.peek() && s !== null) formed.peek()?.paths?.forEach((path) => drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 1, [7, 5]));
+      if (drafting.peek() !== "" && s !== null) drafted.peek()?.paths?.forEach((path) => drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 1, [7, 5]));
       drawPlaces(pen, view);
       deep.peek()?.draw();
       if (live.snapshot !== null) {

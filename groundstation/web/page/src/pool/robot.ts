@@ -23,7 +23,7 @@ export function drawRobot(pen: Pen, view: View, s: Scene, robot: Robot, place: n
   pen.save();
   if (stale) pen.globalAlpha = 0.6;
   if (on.trails) drawTrailEnd(pen, view, robot, colour);
-  const located = robot.news.state!.estimate !== null && robot.news.state!.timing.pose_age_ms < 1e6;
+  const located = robot.news.state!.estimate !== null && robot.news.state!.timing.pose_age_ms !== null;
   if (!located) {
     pen.restore();
     return;

@@ -16,6 +16,9 @@ const KEYS: Record<string, Share> = {
   arrowup: [1, 0, 0], arrowdown: [-1, 0, 0], arrowleft: [0, 0, -1], arrowright: [0, 0, 1], pageup: [0, -1, 0], pagedown: [0, 1, 0],
 }; // prettier-ignore
 
+/** Fields whose keys write. */
+export const TYPING = "select, textarea, input:not([type=checkbox], [type=range])";
+
 export const driven = signal(0); // the robot that keys move; 0: none
 export const pace = signal(0.4); // of the vehicle's limits, at most
 
@@ -59,9 +62,11 @@ export function driveKey(event: KeyboardEvent): boolean {
   return true;
 }
 
-/** Whether another key changes what this one means. */
+const MODIFIERS = ["Alt", "AltGraph", "Control", "Meta", "OS", "Shift"]; // as they come down some systems do not count them yet
+
+/** Whether another key changes what this one means, or this one what others mean. */
 function modified(event: KeyboardEvent): boolean {
-  return event.ctrlKey || event.metaKey || event.altKey || event.shiftKey || event.getModifierState("AltGraph");
+  return MODIFIERS.includes(event.key) || event.ctrlKey || event.metaKey || event.altKey || event.shiftKey || event.getModifierState("AltGraph");
 }
 
 function tell(): void {
@@ -95,4 +100,5 @@ effect(() => {
 addEventListener("keydown", (event) => modified(event) && release(), { capture: true }); // some systems then swallow the end of other keys
 addEventListener("keyup", (event) => letGo(event.code));
 addEventListener("blur", release);
+addEventListener("focusin", (event) => (event.target as HTMLElement).matches(TYPING) && release()); // what is typed there drives nobody
 document.addEventListener("visibilitychange", () => document.hidden && release());

@@ -133,7 +133,7 @@ function drawRobot(gl: Gl, pen: CanvasRenderingContext2D, view: Matrix, s: Scene
   const colour = robotColour(place);
   const path = live.paths.find((p) => p.robot === id);
   if (path !== undefined) gl.line(rows(samples(path), 4), rgba(colour, 0.35));
-  if (robot?.news.state === undefined || robot.news.state.estimate === null || robot.news.state.timing.pose_age_ms >= 1e6) return;
+  if (robot?.news.state === undefined || robot.news.state.estimate === null || robot.news.state.timing.pose_age_ms === null) return;
   const stale = isStale(robot.news, robot.sentMs);
   const solid = rgba(stale ? css("--stale") : colour);
   const [x, y, z, yaw] = [robot.eta[0]!, robot.eta[1]!, robot.eta[2]!, robot.eta[3]!];

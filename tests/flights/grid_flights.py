@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.robots.cells import SQUARE_M, FlightPlan
-from benchmarks.robots.claims import claim_of, nees
-from benchmarks.robots.water import Trouble, TroubledFleet, TroubledPlant
 from groundstation.planning import planner
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Order, RobotState, Trajectory
+from tests.flights.cells import SQUARE_M, FlightPlan
+from tests.flights.claims import claim_of, nees
+from tests.flights.water import Trouble, TroubledFleet, TroubledPlant
 
 CLAIMS_EVERY_S, CLAIMS_FROM_S = 0.5, 5.0
 STOPPED = frozenset({Mode.FAULT, Mode.STOPPED, Mode.DISARMED})

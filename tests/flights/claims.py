@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.robots.water import TrueState
 from robot_agent.agent import Agent
 from robot_agent.vehicle.filter_bank import CURRENT_X, CURRENT_Y, YAW, R, U, V, X, Y
 from robot_agent.vehicle.kalman import KalmanEstimator
 from shoal.frames import Array, wrap
+from tests.flights.water import TrueState
 
 KALMAN = ("x", "y", "yaw", "u", "v", "r", "current_x", "current_y")  # what the Kalman observer claims
 CLAIMED = [X, Y, YAW, U, V, R, CURRENT_X, CURRENT_Y]
@@ -33,11 +33,13 @@ class ObserverClaim(NamedTuple):
 def claim_of(agent: Agent) -> ObserverClaim | None:
     """The belief of a robot's observer; None if it has none, or claims nothing."""
     estimator: Any = getattr(agent.controller, "_estimator", None)  # no robot publishes its covariances
-    if not isinstance(estimator, KalmanEstimator) or not estimator._begun:
+    if not isinstance(estimator, KalmanEstimator) or not estimator._begun:  # a robot publishes none of this
         return None
-    belief = estimator._belief
+    belief = estimator._belief  # the same
+    # the same
     mean, covariance = belief[[0, 1, 3, 4, 5, 7, 15, 16]], estimator._bank.mixed[np.ix_(CLAIMED, CLAIMED)]
     count = len(KALMAN) if estimator._model.sway else 3  # without sway there is no current, and v is 0
+    # the same: the time of the belief
     return ObserverClaim(estimator._at_ns, KALMAN[:count], mean[:count], covariance[:count, :count])
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.robots.vehicles import VEHICLES, FileVehicle, ScaledVehicle, any_build, fastest_mps
 from shoal.config.experiment import load_experiment
+from tests.flights.vehicles import VEHICLES, FileVehicle, ScaledVehicle, any_build, fastest_mps
 
 PATHS = ("circle", "eight", "straight", "square")
 RATES_HZ = (10, 20, 50)  # by turns: together with four paths, twelve flights have each pair once

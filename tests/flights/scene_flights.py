@@ -1,12 +1,13 @@
-"""Numeric flights whole: planned, put into the water, flown, and held against their references. For benchmarks and tests."""
+"""Numeric flights whole: planned, put into the water, flown, and held against their references."""
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 
 import numpy as np
 
 from groundstation.planning import planner
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array, pose_error
 from shoal.messages.messages import RobotState
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
@@ -77,3 +78,9 @@ def flown(experiment: Experiment) -> SceneFlight:
     truth = np.array(fleet.truth[held:])
     reference = np.array([t.eta[: len(truth)] for t in fleet.trajectories.values()]).transpose(1, 0, 2)
     return SceneFlight(experiment, fleet, truth, pose_error(truth, reference), [robot.states[held:] for robot in fleet.robots])
+
+
+@cache
+def flown_once(name: str, *settings: str) -> SceneFlight:
+    """A flight that several tests of a process look at."""
+    return flown(load_experiment(name, settings))

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.robots.claims import GROUPS
-from benchmarks.robots.flights import STOPPED, FlightLog
 from shoal.frames import Array
 from shoal.messages.messages import Control, Mode, required
+from tests.flights.claims import GROUPS
+from tests.flights.grid_flights import STOPPED, FlightLog
 
 SETTLED_M = 0.05  # this near a robot counts as on its path, or in its place
 STEADY_S = 20.0  # RMS are from here on, as in all other tables of this project

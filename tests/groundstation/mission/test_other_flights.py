@@ -1,0 +1,155 @@
+"""Another experiment's path, another form, another order of robots: before a start, from a hold, and refused with a reason."""
+
+import numpy as np
+import pytest
+
+from groundstation.mission.state_machine import MissionState
+from groundstation.planning import planner
+from groundstation.planning.segment import first_segment, sample
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
+from shoal.errors import ConfigError
+from shoal.messages.messages import Mode, Order, Progress
+from tests.groundstation.mission.simulated_fleet import SimulatedFleet
+
+CIRCLE = '[path]\nkind = "circle"\ndiameter_m = 1.0\nlap_s = 60.0\ndepth_m = 0.3\n'
+
+
+def other() -> str:
+    return dump_experiment(load_experiment("figure-eight", ["duration_s=40"]))
+
+
+def ask(fleet: SimulatedFleet, order: Order, text: str = "") -> str:
+    return fleet.core.request(order, fleet.fleet, fleet.now_ns, text=text)[0]
+
+
+def until(fleet: SimulatedFleet, state: MissionState, within_s: float) -> None:
+    for _ in range(round(within_s / 0.05)):
+        fleet.step()
+        if fleet.mission.state is state:
+            return
+    raise AssertionError(f"{fleet.mission.state} instead of {state}: {fleet.mission.reason}")
+
+
+def newest(fleet: SimulatedFleet) -> tuple[Progress, str]:
+    outcome = fleet.core.requests.recent[-1]
+    return outcome.progress, outcome.reason
+
+
+def furthest_off_m(fleet: SimulatedFleet, flown: Experiment, seconds: float) -> float:
+    """Largest distance of a robot from the places that this experiment gives it, without its ways there: its places are those
+    of the path at the time that is left to the end."""
+    planned, away_m = first_segment(flown), 0.0
+    for _ in range(round(seconds / 0.05)):
+        fleet.step()
+        left_s = fleet.mission.segment.end_s - fleet.mission.plans.progress_s
+        for robot, trajectory in planned.trajectories.items():
+            place = sample(trajectory, np.array([planned.end_s - left_s])).eta[0]
+            away_m = max(away_m, float(np.hypot(*(fleet.robots[robot].eta - place)[:2])))
+    return away_m
+
+
+@pytest.fixture
+def fleet() -> SimulatedFleet:
+    started = SimulatedFleet(load_experiment("pool"))
+    started.run(1.0)
+    return started
+
+
+def test_a_path_that_is_loaded_at_rest_moves_nobody_and_is_what_the_next_start_flies(fleet: SimulatedFleet) -> None:
+    before = {r: robot.eta.copy() for r, robot in fleet.robots.items()}
+    assert ask(fleet, Order.PATH, other()) == ""
+    assert newest(fleet)[0] is Progress.UNDER_WAY
+    assert "still being planned" in ask(fleet, Order.START)
+    fleet.run(1.0)
+    assert newest(fleet) == (Progress.DONE, "") and fleet.mission.state is MissionState.WAITING
+    assert all(robot.mode is Mode.DISARMED and np.allclose(robot.eta, before[r]) for r, robot in fleet.robots.items())
+    assert fleet.mission.plans.flown.name == "figure-eight"
+    assert ask(fleet, Order.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    until_there_s = fleet.mission.segment.transfer_end_s - fleet.mission.plans.progress_s + 3.0
+    fleet.run(until_there_s)
+    assert furthest_off_m(fleet, with_flight(fleet.experiment, other()), 20.0) < 0.05
+    until(fleet, MissionState.DONE, 40.0)
+
+
+def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: SimulatedFleet) -> None:
+    assert ask(fleet, Order.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    fleet.run(5.0)
+    assert "only when" in ask(fleet, Order.PATH, other())
+    assert ask(fleet, Order.HOLD) == ""
+    fleet.run(2.0)
+    assert ask(fleet, Order.PATH, other()) == ""
+    until(fleet, MissionState.RUNNING, 20.0)
+    fleet.step()
+    assert newest(fleet)[0] is Progress.DONE
+    fleet.run(fleet.mission.segment.transfer_end_s - fleet.mission.plans.progress_s + 3.0)
+    flown = with_flight(fleet.experiment, other())
+    assert furthest_off_m(fleet, flown, 15.0) < 0.05
+    assert ask(fleet, Order.RETURN) == ""
+    until(fleet, MissionState.DONE, 90.0)
+    for robot, trajectory in first_segment(flown).trajectories.items():
+        assert np.allclose(fleet.robots[robot].eta[:3], trajectory.eta[0, :3], atol=0.05)
+
+
+@pytest.mark.parametrize("holds", [False, True])
+def test_robots_change_places_at_rest_and_from_a_hold(fleet: SimulatedFleet, holds: bool) -> None:
+    """Under way they would meet: there the planner refuses it."""
+    if holds:
+        assert ask(fleet, Order.START) == ""
+        until(fleet, MissionState.RUNNING, 10.0)
+        fleet.run(3.0)
+        assert ask(fleet, Order.FORMATION, "order 2,1") == ""
+        fleet.run(1.0)
+        assert newest(fleet)[0] is Progress.FAILED and "robots 1 and 2: " in newest(fleet)[1]
+        assert ask(fleet, Order.HOLD) == ""
+        fleet.run(2.0)
+    places = fleet.mission.segment.trajectories
+    was = {r: robot.eta[:2].copy() if holds else places[r].eta[0, :2] for r, robot in fleet.robots.items()}
+    assert ask(fleet, Order.FORMATION, "order 2,1") == ""
+    if not holds:
+        fleet.run(1.0)
+        assert newest(fleet)[0] is Progress.DONE
+        assert ask(fleet, Order.START) == ""
+    until(fleet, MissionState.RUNNING, 20.0)
+    while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s:
+        fleet.step()
+    assert all(np.hypot(*(fleet.robots[3 - r].eta[:2] - was[r])) < 0.05 for r in (1, 2))
+
+
+def test_a_path_that_cannot_be_flown_here_leaves_the_one_before(fleet: SimulatedFleet) -> None:
+    before = fleet.mission.plans.flown
+    for text, reason in (
+        (dump_experiment(load_experiment("straight")), "it is for robots 1; here are 1, 2"),
+        ("path = 3", "path = 3"),
+        ("name = 4\n", "path: missing"),
+        ("a = ", "not valid TOML"),
+        (
+            '[path]\nkind = "circle"\ndiameter_m = 1.0\nlap_s = 60.0\ndepth_m = 0.3\n[formation]\nkind = "leader-follower"',
+            "kind",
+        ),
+    ):
+        assert reason in ask(fleet, Order.PATH, text)
+    assert ask(fleet, Order.PATH, CIRCLE.replace("1.0", "30.0")) == ""
+    fleet.run(1.0)
+    assert newest(fleet)[0] is Progress.FAILED and "beyond" in newest(fleet)[1]
+    assert fleet.mission.plans.flown is before and ask(fleet, Order.START) == ""
+
+
+@pytest.mark.parametrize(
+    ("form", "reason"),
+    [("order 2,2", "each once"), ("order 1", "must name each robot once (1, 2)"), ("line 1 order", "each once")],
+)
+def test_an_order_that_is_none_is_refused(fleet: SimulatedFleet, form: str, reason: str) -> None:
+    assert reason in ask(fleet, Order.FORMATION, form)
+
+
+def test_a_file_changes_form_into_an_order_of_its_robots() -> None:
+    change = "formation.changes=[{at_s=10,over_s=10,shape='line',spacing_m=0.9,order=[2,1]}]"
+    ends = {}
+    for order in ("[2,1]", "[1,2]"):
+        flown = planner.draft(load_experiment("pool", [change.replace("[2,1]", order)]))[0].trajectories
+        ends[order] = [flown[r].eta[-1, :2] - (flown[1].eta[-1, :2] + flown[2].eta[-1, :2]) / 2 for r in (1, 2)]
+    assert np.allclose(ends["[2,1]"], ends["[1,2]"][::-1])
+    with pytest.raises(ConfigError, match=r"order = \[2\]"):
+        load_experiment("pool", [change.replace("[2,1]", "[2]")])
