@@ -136,7 +136,7 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
                     errors.append(float(np.hypot(*(np.array(states[0][:2]) - paths[0].eta[k + WARM_UP, :2]))))
                     changes.append(required(output.control).wrench_step / experiment.wrench_step)
                     unsolved += output.solve is not Solve.SOLVED
-                plans[i] = Plan(STEP_S, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
+                plans[i] = Plan(robot.told_period_s, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
                 states[i] = model.advance(
                     states[i], (0.01, 0.0, 0.0, 0.0), required(output.control).wrench_delivered.tolist(), STEP_S
                 )

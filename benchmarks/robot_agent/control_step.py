@@ -18,7 +18,7 @@ CASES = [
     for neighbours, beside in ((0, False), (2, False), (5, False), (2, True))
 ]
 PEER_CASES = [case for case in CASES if case.neighbours == 2 and not case.beside]
-OURS = ["numpy", "scipy", "numba", "protobuf", "pydantic", "tomli_w", "typer", "rich"]
+OURS = ["numpy", "scipy", "osqp", "numba", "protobuf", "pydantic", "tomli_w", "typer", "rich"]
 PEERS = {
     "control_cvxpy": ["cvxpy"],
     "control_qpsolvers": ["qpsolvers[osqp]"],
