@@ -25,7 +25,7 @@ from benchmarks.harness import Row
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
-from groundstation.planning.segment import PlanSegment, first_segment
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import LinkMonitor, subscribe_fleet
 from groundstation.web.backend import Status
 from groundstation.web.live_backend import LiveBackend
@@ -181,9 +181,6 @@ class _Station:
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         return ""
-
-    def draft(self, order: Order, text: str) -> PlanSegment:
-        return first_segment(self.experiment)
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         return "", 0
