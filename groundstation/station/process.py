@@ -59,7 +59,7 @@ def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
 
 @dataclass(frozen=True)
 class StationOptions:
-    """How a person wants the station to run."""
+    """Options of a run of the station, as a person sets them."""
 
     automatic: bool = False  # the mission starts by itself, once all is fit
     give_up_s: float | None = None  # time without progress after which an automatic mission fails
