@@ -349,6 +349,8 @@ class ClientHub:
     def _void(self, seen_ms: int, valid_s: float = ORDER_VALID_S) -> str:
         """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
         late_s = time.monotonic() - seen_ms * 1e-3
+        if late_s < -1.0:  # a page that was open when this computer started anew, and has seen nothing of this station
+            return "this is about a run before this computer's start, and was not done"
         return f"this came {late_s:.0f} s late, and was not done" if late_s > valid_s else ""
 
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:

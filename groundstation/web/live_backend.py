@@ -36,6 +36,8 @@ from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Clock, log
 
 MOST_EVENTS = 256  # between two looks
+SETTLE_NS = 1_000_000_000  # after the start: within it every robot has told its state
+OLD_LINE_NS = 1_000_000_000  # older when it comes than a slow network makes it
 KEPT_EVENTS = 500  # for a page that connects later: as many as it shows
 PAST_S = 600.0  # kept for pages that connect later
 PAST_EVERY_S = 0.5  # a row of the past, in fleets of up to three
@@ -65,6 +67,7 @@ class LiveBackend:
         cameras = experiment.camera_names or ("",)
         self._previews = {name: bus.inbox(topics.PREVIEW.of_camera(name), Preview) for name in cameras}
         self._events: deque[tuple[int, Header, bytes]] = deque(maxlen=MOST_EVENTS)  # with their arrival on our clock
+        self._begun_ns = clock.now_ns()
         self._headers: list[Header | None] = []
         self._drawn: Mapping[int, tuple[Trajectory, float]] | None = None
         self._past_every_s = max(PAST_EVERY_S, PAST_S * len(inboxes.states) / PAST_ROBOTS)
@@ -181,14 +184,28 @@ class LiveBackend:
     def notes(self) -> list[dict[str, Any]]:
         """Events since the last call, in order: lines of the log."""
         notes = []
-        while self._events:
+        while self._events and not self._clocks_settle():
             at_ns, header, payload = self._events.popleft()
             try:
                 event = decode(Event, payload, f"session {header.session:x}", topics.EVENT.name)
             except DecodeError:
                 continue
-            notes.append(event_note(event, at_ns))
+            notes.append(event_note(event, self._told_ns(at_ns, header)))
         return notes
+
+    def _clocks_settle(self) -> bool:
+        """Say whether robots may still have to tell their clocks: their lines of before this start come with the first."""
+        return not self._clock.waits and 0 <= self._clock.now_ns() - self._begun_ns < SETTLE_NS
+
+    def _told_ns(self, arrived_ns: int, header: Header) -> int:
+        """Instant at which a line of a log was written, on our clock. A robot keeps its lines, and tells a station that starts
+        those of an earlier run, too: by its clock, as its newest state shows it, they are old."""
+        for inbox in self._inboxes.states.values():
+            state = inbox.newest()
+            if state is not None and state.header.session == header.session:
+                written_ns = self._clock.instant_ns(state) + header.stamp_ns - state.header.stamp_ns
+                return written_ns if arrived_ns - written_ns > OLD_LINE_NS else arrived_ns
+        return arrived_ns
 
     def remark(self, text: str) -> None:
         """Put a person's line into the run's log."""

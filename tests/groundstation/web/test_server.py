@@ -505,6 +505,9 @@ def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> No
         page.say(kind=kind, n=n, seen_ms=page.clock_ms - 10_000, **late)
         reply = page.until(lambda f: f["k"] == "reply")
         assert not reply["ok"] and reply["reason"].endswith("late, and was not done")
+        page.say(kind=kind, n=n, seen_ms=page.clock_ms + 100_000, **late)  # by the clock of before this computer's start
+        reply = page.until(lambda f: f["k"] == "reply")
+        assert not reply["ok"] and "before this computer's start" in reply["reason"]
     page.say(kind="order", n=3, order="stop", seen_ms=0)
     assert page.until(lambda f: f["k"] == "reply")["ok"]
     assert lab.orders == [Order.STOP]
