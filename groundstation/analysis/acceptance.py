@@ -20,7 +20,7 @@ def went_all_the_way(series: Series) -> bool:
     """True if the slowest robot reached the end of the planned flight, to within two control periods, and the evaluation with
     it. A fleet that turned home before has not."""
     spare_s = 2.0 * series.experiment.controller.period_s
-    turned = series.sent_home_s is not None and series.sent_home_s < series.experiment.duration_s - spare_s
+    turned = series.sent_home_s is not None and series.sent_home_s < series.planned_s - spare_s
     return series.started and not turned and series.flown_s >= series.asked_s - spare_s
 
 

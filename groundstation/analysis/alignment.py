@@ -105,8 +105,9 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
     recorded = {robot: _gather(log, robot, has_truth, window) for robot in experiment.robot_ids}
     with_flight = [r for r in recorded.values() if r.flew]
     start_ns = max((r.start_ns for r in with_flight), default=_first_stamp_ns(log))
-    whole_s = _end_s(recorded, with_flight, start_ns, experiment.duration_s)
-    end_s = min(whole_s, 2.0 * experiment.duration_s + SPARE_S)
+    planned_s = _planned_s(experiment, log, window)
+    whole_s = _end_s(recorded, with_flight, start_ns, planned_s)
+    end_s = min(whole_s, 2.0 * planned_s + SPARE_S)
     rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if with_flight else 0
     time_s = np.arange(rows, dtype=np.float64) * experiment.controller.period_s
     located = any(len(r.truth.stamp_ns) > 1 for r in recorded.values())
@@ -116,7 +117,8 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
         end_s=end_s,
         started=bool(with_flight),
         reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
-        asked_s=_asked_s(experiment, recorded),
+        planned_s=planned_s,
+        asked_s=_asked_s(experiment, with_flight, planned_s),
         ended_s=(window[1] - start_ns) * 1e-9,
         time_s=time_s,
         robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, has_truth) for robot, r in recorded.items()},
@@ -201,12 +203,20 @@ def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
     return None
 
 
-def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float:
-    """Planned progress of the flight along the trajectory in s. Trajectories are a controller's horizon longer than that."""
+def _planned_s(experiment: Experiment, log: RunLog, window: tuple[int, int]) -> float:
+    """Planned end of a flight along its trajectory in s: the station's last word before the way home, for a person may load
+    another path; the experiment's where it says nothing."""
+    told_s = [b.message.flight_s for b in log.of(topics.HEARTBEAT, StationHeartbeat) if window[0] <= b.stamp_ns <= window[1]]
+    return next((end_s for end_s in reversed(told_s) if end_s > 0.0), experiment.duration_s)
+
+
+def _asked_s(experiment: Experiment, flights: Sequence[_Recorded], planned_s: float) -> float:
+    """Progress along the trajectory in s that was to be flown, at most the planned one. Trajectories are a controller's
+    horizon longer than that."""
     ahead_s = experiment.controller.mpc.horizon * experiment.controller.period_s
-    trajectories = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
+    trajectories = [r.trajectory for r in flights if r.trajectory is not None]
     ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in trajectories]
-    return max(0.0, min([experiment.duration_s, *ends]))
+    return max(0.0, min([planned_s, *ends]))
 
 
 # --- one robot

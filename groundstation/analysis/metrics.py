@@ -61,7 +61,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
         mode=log.metadata.get("mode", "unknown"),
         passed=False,
         duration_s=round(series.end_s, 6),
-        planned_duration_s=experiment.duration_s,
+        planned_duration_s=series.planned_s,
         real_time_factor=_real_time_factor(series, log),
         errors_against=series.errors_against,
         robots=robots,
@@ -323,7 +323,7 @@ def _notes(series: Series, log: RunLog) -> Iterator[str]:
 
 def _of_the_flight(series: Series) -> Iterator[str]:
     """Sentences about a flight that is incomplete, or not the only one of its log."""
-    planned_s = series.experiment.duration_s
+    planned_s = series.planned_s
     if len(series.flights) > 1:
         yield (
             f"The log holds {len(series.flights)} flights. This is a report of number {series.flight} alone; "

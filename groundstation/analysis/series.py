@@ -152,7 +152,8 @@ class Series:
     end_s: float  # of the evaluation
     started: bool  # at least one robot flew
     reached_s: float  # along the trajectory, by the slowest robot
-    asked_s: float  # along the trajectory, what was to be flown: the experiment's duration, or less where the path was over
+    planned_s: float  # end of the flight along its trajectory as planned: the experiment's, or that of a path loaded later
+    asked_s: float  # along the trajectory, what was to be flown: the same, or less where the path was over
     ended_s: float  # of the flight: its log goes on so long, also after the evaluation
     time_s: Array  # (n,) one row per control period, 0 to end_s
     robots: dict[int, RobotSeries]

@@ -146,10 +146,11 @@ class Station:
         states = {robot: view.state for robot, view in self.views.items()}
         planned = tuple(robot for robot, state in states.items() if state is not None and state.estimate is not None)
         state = self.mission.state.name
-        out = tuple(sorted(self.mission.roster.out))
+        out, segment = tuple(sorted(self.mission.roster.out)), self.mission.segment
         beat = StationHeartbeat(
-            self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns
-        )
+            self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns,
+            flight_s=0.0 if segment.is_return else segment.end_s,
+        )  # fmt: skip
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
         self._tell()

@@ -374,6 +374,7 @@ class StationHeartbeat:
     code: Annotated[str, 7] = ""  # Version and commit of the station's program.
     out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
     began_ns: Annotated[Int64, 9] = 0  # Instant, on the station's clock, at which the flight began or will; 0: not known.
+    flight_s: Annotated[float, 10] = 0.0  # Planned end of the flight along its trajectory; 0: none, or on the way home.
 
 
 ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own, and whose clock is its own

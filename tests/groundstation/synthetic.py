@@ -57,6 +57,7 @@ class Script:
     """Properties of a synthetic run."""
 
     duration_s: float = 40.0
+    loaded_s: float = 0.0  # planned end of a path that was loaded instead of the experiment's; 0: none was
     settings: tuple[str, ...] = ()
     prefix: str = "shoal/"
     truth: bool = True
@@ -98,7 +99,7 @@ def write_run(folder: Path, script: Script | None = None) -> Experiment:
     (folder / "experiment.toml").write_text(text)
     recorder = Recorder(folder / "run.mcap", text, script.metadata)
     log = _Log(recorder, script.prefix)
-    trajectories = plan(experiment)
+    trajectories = plan(experiment.model_copy(update={"duration_s": script.loaded_s or script.duration_s}))
     if script.trajectories:
         for robot, trajectory in trajectories.items():
             log.put(topics.TRAJECTORY, trajectory, 0.0, robot)
@@ -145,8 +146,9 @@ def _step(script: Script, log: _Log, trajectories: dict[int, Any], k: int, since
         if not _within(script.still, robot, since_s):
             state = _state(script, robot, k, since_s, true, trajectories[robot])
             log.put(topics.STATE, state, at_s, robot, lost=_within(script.lost, robot, since_s))
-    if (script.still or script.lost) and not _within(script.still, 0, since_s):
-        log.put(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING"), at_s, lost=_within(script.lost, 0, since_s))
+    if (script.still or script.lost or script.loaded_s) and not _within(script.still, 0, since_s):
+        beat = StationHeartbeat(mission="RUNNING", flight_s=script.loaded_s)
+        log.put(topics.HEARTBEAT, beat, at_s, lost=_within(script.lost, 0, since_s))
 
 
 def _within(times: tuple[tuple[int, float, float], ...], process: int, at_s: float) -> bool:

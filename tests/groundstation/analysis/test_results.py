@@ -306,3 +306,13 @@ def test_a_run_shorter_than_20_s_has_no_settled_checks(tmp_path: Path) -> None:
     result = result_of(tmp_path, Script(duration_s=10.0, settings=settings))
     assert result.robots["1"].rms_after_20s_m is None
     assert result.passed
+
+
+@pytest.mark.parametrize(("loaded_s", "flown_s", "whole"), [(60.0, 60.0, True), (60.0, 40.0, False), (30.0, 30.0, True)])
+def test_a_loaded_path_is_judged_by_its_own_length(tmp_path: Path, loaded_s: float, flown_s: float, whole: bool) -> None:
+    """The session's experiment lasts 40 s. Of 60 s that a person has loaded, 40 are no whole flight."""
+    script = Script(settings=("duration_s=40",), duration_s=flown_s, loaded_s=loaded_s)
+    result = result_of(tmp_path, script)
+    assert (result.planned_duration_s, result.duration_s) == (loaded_s, pytest.approx(flown_s, abs=0.1))
+    assert any("not complete" in note for note in result.notes) is not whole
+    assert result.passed is whole
