@@ -19,6 +19,7 @@ from shoal.mavlink.board_port import Link, open_link
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing_key import Signing, agent_end, new_key
 from shoal.runtime.runtime import Failed
+from sim_bridge.node import hil_board
 from sim_bridge.node.hil_board import HilBoard, connect
 from sim_bridge.node.wires import PoolWires, real_boards
 from sim_bridge.sil.ports import free_base_port, free_port
@@ -92,6 +93,14 @@ class HilPool:
             if self.run(10.0, lambda: self.hil.pulses == AHEAD or not self.hil.armed) and self.hil.pulses == AHEAD:
                 return True
         return False
+
+
+SHIPPED_S = hil_board.SILENT_NS * 1e-9, hil_board.MODE_NS * 1e-9  # before `patience`
+
+
+def test_a_silent_board_ends_a_run_as_soon_as_the_manual_says() -> None:
+    """A second without an echo, as docs/hil.md shows it; two heartbeats of one a second, and a little, without its mode."""
+    assert SHIPPED_S == (1.0, 2.5)
 
 
 @pytest.fixture(autouse=True)
