@@ -138,8 +138,10 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
         return [scene.frame(ETA) for _ in range(count)]
 
     def result() -> None:
-        """A status may overtake the poses of its picture: they travel on another topic."""
-        stamp_ns = localizer.stamps_ns[-1]
+        """A status may overtake the poses of its picture: they travel on another topic. A later one may say already that no
+        picture comes."""
+        by_stamp = zip(localizer.stamps_ns, localizer.statuses, strict=False)
+        stamp_ns = max(stamp_ns for stamp_ns, status in by_stamp if status.camera is CameraHealth.OK)
 
         def here() -> bool:
             headers = [inbox.newest_header() for inbox in poses.values()]

@@ -272,6 +272,9 @@ def test_a_robot_that_floods_is_not_let_through_and_the_others_are() -> None:
             plan(b"x", b"")
             time.sleep(0.05)
         time.sleep(0.5)
+        until_s = time.monotonic() + 5.0
+        while counts[2] - before[2] < 20 and time.monotonic() < until_s:  # a busy machine brings the last one late
+            time.sleep(0.05)
         passed = counts[1] - before[1]
         assert 0 < passed <= FLOOD * topics.PLAN.rate_hz * (time.monotonic() - begin_s) + 1
         assert counts[2] - before[2] == 20
