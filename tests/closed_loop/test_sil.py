@@ -158,7 +158,7 @@ def test_a_simulation_goes_on_from_a_moment_of_it_as_it_went_on(lockstep_run: tu
         assert after.time_s[steps[0]] == pytest.approx(6.0, abs=0.11)
         assert after.time_s[steps[-1]] == pytest.approx(9.0, abs=0.11)
         assert np.abs(apart[steps[0]]).max() < 1e-4  # from where they were, as fast as they were,
-        assert np.abs(apart[steps]).max() < 0.006  # and as they went on, but for the noise: 1 to 5 mm with seeds 2 to 4
+        assert np.abs(apart[steps]).max() < 0.008  # and as they went on, but for the noise: 1 to 6 mm with seeds 2 to 4
 
 
 def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, int, str], tmp_path: Path) -> None:

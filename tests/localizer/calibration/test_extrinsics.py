@@ -187,7 +187,10 @@ def _entries(places: list[tuple[float, float, float]]) -> list[dict[str, object]
         ({"name": "point 0"}, "points: name = 'point 0' is used twice"),
         ({"pool_m": list(RIM[0])}, r"points: pool_m = \(-1\.6, -1\.2, -0\.1\) is used twice"),
         ({"pixel_px": [0.0, 50.0]}, r"points: pixel_px = \(0\.0, 50\.0\) is used twice"),
-        ({"pixels": [1.0, 2.0]}, r"points\.1\.pixels: unknown key \(allowed here: marker_id, name, pixel_px, pool_m\)"),
+        (
+            {"pixels": [1.0, 2.0]},
+            r"points\.1\.pixels: unknown key; did you mean pixel_px\? \(allowed here: marker_id, name, pixel_px, pool_m\)",
+        ),
     ],
 )
 def test_a_points_file_that_cannot_be_used(change: dict[str, object], complaint: str) -> None:

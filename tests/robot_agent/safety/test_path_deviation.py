@@ -101,7 +101,7 @@ def harm(broken: str, at_s: float, seed: int, settings: Sequence[str] = ()) -> t
 def test_a_thruster_that_goes_on_as_it_was_told_does_little_harm_in_still_water() -> None:
     """It sticks when the robot has just come onto its path, which it then cannot keep, if nobody feels that."""
     off_m, _ = harm("1/2 stuck", 3.0, 1, ["safety.watch_thrusters=false"])
-    assert 0.05 < off_m < 0.15  # the law flies on with what the others give
+    assert 0.02 < off_m < 0.15  # the law flies on with what the others give
 
 
 @pytest.mark.slow

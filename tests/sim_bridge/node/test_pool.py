@@ -16,6 +16,7 @@ from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import load_experiment
+from shoal.config.fault_injection import BY_HAND
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode, encode
 from shoal.messages.messages import ALONE, Event, FaultRequest, Mode, RobotState
@@ -80,8 +81,10 @@ def test_a_fault_by_hand_is_logged_in_words_that_repeat_it(tmp_path: Path, caplo
         recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
     recorder.close()
     repeated = faults_by_hand(tmp_path)
-    assert [line.partition(" ")[2] for line in repeated] == ["for=5 thruster 1/3 dead", "battery 1 sag"]
-    assert load_experiment("pool", faults=repeated).sim.faults[0].for_s == 5.0
+    # What ended before the start is told, and no fault of a flight from there on.
+    assert f"{BY_HAND}before the start for=5 thruster 1/3 dead" in lines
+    assert repeated == ["t=0.000 battery 1 sag"]
+    assert load_experiment("pool", faults=repeated).sim.faults[0].what == "battery 1 sag"
 
 
 @pytest.mark.long
