@@ -67,7 +67,9 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     expect(page.get_by_text("asking the planner")).to_be_visible()
     expect(button(page, "Fly this form")).to_be_disabled()
     page.get_by_label("spacing, m").fill("1.1")
-    goes_on.set()
+    expect(page.get_by_text(re.compile("can be flown"))).to_be_visible()
+    goes_on.set()  # the answer about 1.2 comes last
+    page.wait_for_timeout(500)
     button(page, "Fly this form").click()
     expect(page.locator(".given")).to_contain_text("formation line 1.1 sent")
     assert desk.orders == [Order.FORMATION] and desk.text == "line 1.1"

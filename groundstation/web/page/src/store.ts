@@ -264,7 +264,7 @@ export function take(frame: Frame): void {
       tried.value = frame;
       break;
     case "drafted":
-      drafted.value = frame;
+      if (frame.n > (drafted.peek()?.n ?? 0)) drafted.value = frame; // two are planned at a time: an older one may take longer
       drawSoon();
       break;
     case "chosen":
