@@ -35,7 +35,7 @@ class FleetTime:
 
     def age_s(self, received: Received[Any]) -> float:
         """Age of a message's content, in the fleet's time. Where simulated time stands, by the wall clock: nothing that has
-        stopped coming readings alive."""
+        stopped coming looks alive."""
         now_s = self.simulated_s()
         if received.header.stamp_ns >= SIMULATED_BELOW_NS:
             return received.age_ns(time.monotonic_ns()) * 1e-9

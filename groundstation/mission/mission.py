@@ -250,9 +250,8 @@ class Mission:
 
     def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
-        from_rest = (
-            order in (Order.RETURN, *OTHER_FLIGHTS) and self.state in AT_REST
-        )  # takes in robots that the last run had lost
+        # Takes in robots that the last run had lost.
+        from_rest = order in (Order.RETURN, *OTHER_FLIGHTS) and self.state in AT_REST
         roster = Roster(self._experiment.robot_ids, self.segment, self.roster.out) if from_rest else self.roster
         context = replace(self._context(fleet, roster, via), text=text)
         return objection(order, replace(context, transfer=self.segment.is_separate(self.plans.progress_s)))

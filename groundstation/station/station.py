@@ -281,9 +281,8 @@ class Station:
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
-        request = (
-            f"{order.name} for robot {only}" if only and order is not Order.STOP else f"{order.name} {_shown(text)}".strip()
-        )
+        detail = f"for robot {only}" if only and order is not Order.STOP else _shown(text)
+        request = f"{order.name} {detail}".strip()
         log.info("%s %s", request, f"refused: {reason}" if reason else "asked for")
         return reason, number
 

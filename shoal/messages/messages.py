@@ -284,9 +284,8 @@ class Estimate:
     disturbance: Annotated[Array, 3, Label("Disturbance", parts=ACCELERATION, prefix="disturbance_")] = array(4)
     # Acceleration that the nominal model in still water does not explain.
     drag_ratio: Annotated[float | None, 4, Label("Learned drag per mass, × the file's")] = None  # None if it is not learned.
-    thrust_ratio: Annotated[float | None, 5, Label("Learned thrust per mass, × the file's")] = (
-        None  # None if it is not learned.
-    )
+    thrust_ratio: Annotated[float | None, 5, Label("Learned thrust per mass, × the file's")] = None
+    # None if it is not learned.
 
 
 @dataclass(frozen=True, eq=False)

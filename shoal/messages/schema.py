@@ -12,7 +12,7 @@ import re
 import types
 from collections.abc import Iterator, Sequence
 from enum import IntEnum
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
@@ -28,15 +28,6 @@ SIMPLE = {
 }
 
 
-def nested_message(hint: Any) -> type | None:
-    """The message class of a field that holds a message, or may hold one; None of another field."""
-    candidates = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    for candidate in candidates:
-        if dataclasses.is_dataclass(candidate) and isinstance(candidate, type):
-            return candidate
-    return None
-
-
 def may_be_absent(hint: Any) -> bool:
     """Say whether a field of this type may be None."""
     return types.NoneType in get_args(hint)
@@ -45,6 +36,12 @@ def may_be_absent(hint: Any) -> bool:
 def present_type(hint: Any) -> Any:
     """The type of a field's value where there is one."""
     return next(part for part in get_args(hint) if part is not types.NoneType) if may_be_absent(hint) else hint
+
+
+def nested_message(hint: Any) -> type | None:
+    """The message class of a field that holds a message, or may hold one; None of another field."""
+    kind = present_type(hint)
+    return kind if isinstance(kind, type) and dataclasses.is_dataclass(kind) else None
 
 
 def enum_prefix(choices: type[IntEnum]) -> str:

@@ -9,7 +9,7 @@ from typing import Any, get_origin, get_type_hints
 import numpy as np
 
 from shoal.messages.codec import LARGEST
-from tests.shoal.strategies import nested
+from shoal.messages.schema import nested_message
 
 NUMBERS = (0.0, -0.0, 1.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, LARGEST, -LARGEST, 1e4, math.pi, 0.3)
 
@@ -59,8 +59,8 @@ class Bites:
             return bool(self.byte(2))
         if hint is str:
             return self.take(self.byte(6)).decode("latin1")
-        if nested(hint) is not None:
-            return self.message(nested(hint)) if nested(hint) is hint or self.byte(2) else None
+        if nested_message(hint) is not None:
+            return self.message(nested_message(hint)) if nested_message(hint) is hint or self.byte(2) else None
         if isinstance(hint, type) and issubclass(hint, IntEnum):
             members = tuple(hint)
             return members[self.byte(len(members))]

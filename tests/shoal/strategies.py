@@ -2,7 +2,6 @@
 
 import dataclasses
 import enum
-import types
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -12,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from shoal.messages import codec
 from shoal.messages.messages import Event, Frame, Message, Picture, Preview, Video
-from shoal.messages.schema import may_be_absent, present_type
+from shoal.messages.schema import may_be_absent, nested_message, present_type
 
 CLASSES: tuple[type, ...] = get_args(Message)
 FOREIGN = (Frame, Preview, Video, Picture, Event)
@@ -27,20 +26,15 @@ _LIMITS = {
 floats = st.floats(-codec.LARGEST, codec.LARGEST)
 
 
-def nested(hint: Any) -> Any:
-    """The message class of a field that holds one, or may; else None."""
-    parts = get_args(hint) if get_origin(hint) is types.UnionType else (hint,)
-    return next((part for part in parts if dataclasses.is_dataclass(part)), None)
-
-
 def _field(hint: Any, field: dataclasses.Field[Any], kind: int, rows: int) -> st.SearchStrategy[Any]:
     if "shape" in field.metadata:
         shape = tuple(rows if n == -1 else n for n in field.metadata["shape"])
         return arrays(np.float64, shape, elements=floats)
     if field.metadata.get("positive"):
         return st.floats(0.0, codec.LARGEST, exclude_min=True)
-    if nested(hint) is not None:
-        return valid(hint) if nested(hint) is hint else st.none() | valid(nested(hint))
+    nested = nested_message(hint)
+    if nested is not None:
+        return valid(nested) | st.none() if may_be_absent(hint) else valid(nested)
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
         return st.sampled_from(hint)
     simple: dict[Any, st.SearchStrategy[Any]] = {float: floats, bool: st.booleans(), str: st.text()}
@@ -86,8 +80,8 @@ def example(cls: Any) -> Any:
         if "shape" in field.metadata:
             shape = tuple(2 if n == -1 else n for n in field.metadata["shape"])
             values[field.name] = np.arange(np.prod(shape), dtype=np.float64).reshape(shape) + number
-        elif nested(hint) is not None:
-            values[field.name] = example(nested(hint))
+        elif (nested := nested_message(hint)) is not None:
+            values[field.name] = example(nested)
         elif get_args(hint)[:1] == (str,):
             values[field.name] = (f"text {number}", "more")
         elif get_origin(hint) is tuple:

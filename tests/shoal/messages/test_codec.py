@@ -38,7 +38,8 @@ from shoal.messages.messages import (
     Truth,
     Video,
 )
-from tests.shoal.strategies import CLASSES, FOREIGN, OWN, damaged, example, nested, same, valid
+from shoal.messages.schema import nested_message
+from tests.shoal.strategies import CLASSES, FOREIGN, OWN, damaged, example, same, valid
 
 pytestmark = pytest.mark.long
 
@@ -127,8 +128,8 @@ def _fields(wanted: str) -> list[Any]:
             rows = kind == "array" and field.metadata["shape"] != (-1,)  # a list of numbers may be of any length
             if wanted == kind or (rows and wanted == "rows"):
                 parameters.append(pytest.param(top, here, id=f"{top.__name__}.{'.'.join(here)}"))
-            elif nested(hint) is not None:
-                walk(top, nested(hint), here)
+            elif nested_message(hint) is not None:
+                walk(top, nested_message(hint), here)
 
     for cls in OWN:
         walk(cls, cls, ())
