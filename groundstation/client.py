@@ -26,13 +26,17 @@ from shoal.config.experiment import NO_CAMERA, Experiment, dump_flight, load_exp
 from shoal.errors import ConfigError
 from shoal.messages.codec import LONGEST_TEXT
 from shoal.messages.live_gains import values_of
-from shoal.messages.messages import Command, Order, Outcome, Progress, Reply, StationHeartbeat, Tuning
+from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply, StationHeartbeat, Tuning
 from shoal.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
 from shoal.runtime.cli_options import DEFAULT_FLEET
 
 ORDER_TIMEOUT_S = 2.0
 ASK_EVERY_S = 0.2
-PATIENCE_S = {Order.STOP: 5.0, Order.RETURN: 600.0, Order.TUNE: 120.0}  # a lap, for gains that change with the next one
+PATIENCE_S = {
+    CommandKind.STOP: 5.0,
+    CommandKind.RETURN: 600.0,
+    CommandKind.TUNE: 120.0,
+}  # a lap, for gains that change with the next one
 TRANSFER_S = 600.0  # GO for one robot, which is done when it is there
 OTHERWISE_S = 60.0  # the station itself gives a robot up after 10 s in each of a request's stages
 
@@ -80,7 +84,7 @@ def go_command(places_m: ArrayLike, robot: int = WHOLE_FLEET) -> Command:
         raise ValueError(f"{via.tolist()}: no places (allowed: one or more, x and y each)")
     if not np.all(np.isfinite(via)):
         raise ValueError(f"{via.tolist()}: no places (allowed: finite numbers, in m)")
-    return Command(Order.GO, robot, via=via)
+    return Command(CommandKind.GO, robot, via=via)
 
 
 def flight_of(name_or_path: str, settings: Sequence[str]) -> Experiment:
@@ -97,18 +101,18 @@ def path_command(experiment: Experiment) -> Command:
             f"{experiment.name}: its path has {len(text)} characters (allowed: {LONGEST_TEXT}, about 300 points; a session "
             "can begin with more)"
         )
-    return Command(Order.PATH, WHOLE_FLEET, text=text)
+    return Command(CommandKind.PATH, WHOLE_FLEET, text=text)
 
 
 def gains_command(changes: Sequence[str]) -> Command:
     """Request of these gains, each `key=value`; of those before if there are none. Raises ConfigError."""
     values = values_of(changes)
-    return Command(Order.TUNE, WHOLE_FLEET, tuning=Tuning("", tuple(values), np.array(list(values.values()))))
+    return Command(CommandKind.TUNE, WHOLE_FLEET, tuning=Tuning("", tuple(values), np.array(list(values.values()))))
 
 
 def patience_s(command: Command) -> float:
     """Time to wait for the outcome of a request where no time is given."""
-    transfer = command.order is Order.GO and command.robot != WHOLE_FLEET
+    transfer = command.order is CommandKind.GO and command.robot != WHOLE_FLEET
     return TRANSFER_S if transfer else PATIENCE_S.get(command.order, OTHERWISE_S)
 
 
@@ -125,14 +129,14 @@ def follow(
     An emergency stop without a reply is repeated.
     """
     reply = ask(command)
-    while command.order is Order.STOP and reply.silent and not over():
+    while command.order is CommandKind.STOP and reply.silent and not over():
         reply = ask(command)
     while reply.accepted and reply.outcome is not None and reply.outcome.progress is Progress.UNDER_WAY:
         report(reply.outcome)
         if over():
             return reply
         time.sleep(ASK_EVERY_S)
-        answer = ask(Command(Order.NONE, robot=WHOLE_FLEET, about=reply.outcome.request))
+        answer = ask(Command(CommandKind.NONE, robot=WHOLE_FLEET, about=reply.outcome.request))
         reply = reply if answer.silent else answer
     return reply
 

@@ -35,11 +35,11 @@ from shoal.messages.camera_coverage import outside_m
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
     Command,
+    CommandKind,
     Control,
     DriveVelocity,
     Estimate,
     Mode,
-    Order,
     Plan,
     Pose,
     Reply,
@@ -135,9 +135,9 @@ class Agent:
         reason = self._clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta, flaw)
         if reason:
             return reason
-        if command.order is Order.ARM:
+        if command.order is CommandKind.ARM:
             return self._health.arming_refusal(self.inputs, station, now_ns)
-        if command.order is Order.DRIVE:
+        if command.order is CommandKind.DRIVE:
             return self._undrivable(command.drive, given_ns, now_ns)
         return self._tuning.objection(command, prepared)
 
@@ -154,12 +154,12 @@ class Agent:
         clock."""
         self._tuning.apply(command, prepared, given_ns)
         self._clock.apply(command, self.mode is Mode.TRACKING, station, begin_ns)
-        if command.order is Order.TEST:
+        if command.order is CommandKind.TEST:
             neutral_us = self._last.pulse_us if self._last is not None else ()
             self._selftest = ThrusterSelftest(self._experiment.vehicle, neutral_us)
-        if command.order is Order.STOP:
+        if command.order is CommandKind.STOP:
             self._fault = "emergency stop"
-        if command.drive is not None and command.order is Order.DRIVE:
+        if command.drive is not None and command.order is CommandKind.DRIVE:
             self._driven = command.drive, given_ns
         target = ORDERS[command.order].to
         if target is not None:

@@ -33,9 +33,9 @@ from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
     Command,
+    CommandKind,
     Mode,
     Obstacles,
-    Order,
     Plan,
     Pose,
     Reply,
@@ -231,7 +231,7 @@ class AgentNode:
             return Reply(
                 self._robot, False, f"{command.order.name}: {type(error).__name__}: {error}; the robot's program ends"
             )
-        if command.order is not Order.DRIVE or not reply.accepted:  # one comes every period
+        if command.order is not CommandKind.DRIVE or not reply.accepted:  # one comes every period
             log.info("%s: %s", command.order.name, "accepted" if reply.accepted else f"refused: {reply.reason}")
         return reply
 

@@ -23,7 +23,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.errors import ConfigError
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Order, Outcome, Progress, Reply
+from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply
 from shoal.runtime.cli_options import experiments
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.sil.ports import free_port
@@ -288,8 +288,8 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
     """The outcome as JSON, of a station that refuses and of one that does not."""
     hub = MemoryHub()
     station = Bus(MemoryTransport(hub))
-    done_by_one = Outcome(1, Order.START, Progress.DONE, "", "RUNNING", (1,), (2,), ("not heard",))
-    replies = {Order.START: Reply(0, True, outcome=done_by_one), Order.HOLD: Reply(0, False, "no")}
+    done_by_one = Outcome(1, CommandKind.START, Progress.DONE, "", "RUNNING", (1,), (2,), ("not heard",))
+    replies = {CommandKind.START: Reply(0, True, outcome=done_by_one), CommandKind.HOLD: Reply(0, False, "no")}
     station.serve(0, lambda header, command: replies[command.order])
     monkeypatch.setattr("groundstation.client.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order, accepted in (("start", True), ("hold", False)):

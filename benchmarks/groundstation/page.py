@@ -40,13 +40,13 @@ from shoal.messages.codec import Header, encode
 from shoal.messages.messages import (
     BoardReading,
     CameraHealth,
+    CommandKind,
     Control,
     DriveVelocity,
     Estimate,
     LocalizerStatus,
     Message,
     Mode,
-    Order,
     Plan,
     Pose,
     Preview,
@@ -173,10 +173,12 @@ class _Station:
         views = {robot: self.fleet.view(robot, LinkMonitor(), self.clock) for robot in self.fleet.states}
         return Status(MissionState.RUNNING, "", views=views)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = "") -> tuple[str, int]:
+    def request(
+        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = ""
+    ) -> tuple[str, int]:
         return "", 0
 
-    def draft(self, order: Order, text: str) -> PlanSegment:
+    def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError("nothing is planned here")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:

@@ -22,7 +22,7 @@ from groundstation.mission.state_machine import (
 )
 from shoal.config.formation_shapes import SHAPES
 from shoal.config.scene import FORM_USAGE
-from shoal.messages.messages import Command, Order, Outcome, Reply
+from shoal.messages.messages import Command, CommandKind, Outcome, Reply
 from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, Settings, finite
 from shoal.system.printable import printable
@@ -278,7 +278,7 @@ def formation(
 
                groundstation mission formation "triangle 1.0 turn 30 over 20"
     """
-    return "formation", Command(Order.FORMATION, WHOLE_FLEET, text=form)
+    return "formation", Command(CommandKind.FORMATION, WHOLE_FLEET, text=form)
 
 
 @mission_cli.command()
@@ -296,7 +296,7 @@ def fault(
 
                groundstation mission fault repair
     """
-    return "fault", Command(Order.FAULT, WHOLE_FLEET, text=what)
+    return "fault", Command(CommandKind.FAULT, WHOLE_FLEET, text=what)
 
 
 @mission_cli.command()

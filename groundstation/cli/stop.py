@@ -20,7 +20,7 @@ from groundstation.station import discovery
 from groundstation.station.discovery import RunningStation
 from shoal.bus.endpoint import parse_address
 from shoal.errors import ConfigError
-from shoal.messages.messages import Command, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Reply
 from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name
 from shoal.system.printable import printable
@@ -130,7 +130,7 @@ class StationStop:
         fleet = self.station.fleet or DEFAULT_FLEET
         with client.connect_for_requests(self.station, fleet, keys, insecure, patience_s) as bus:
             until_s = time.monotonic() + self.patience_s
-            request = Command(Order.STOP, WHOLE_FLEET)
+            request = Command(CommandKind.STOP, WHOLE_FLEET)
             return client.follow(client.sender(bus), request, lambda: time.monotonic() >= until_s, lambda outcome: None)
 
     def outcome(self) -> tuple[bool, str]:
@@ -172,7 +172,7 @@ def stop(
     complaints: list[str] = ctx.meta[COMPLAINTS]
     from groundstation import client
 
-    patience_s = client.PATIENCE_S[Order.STOP] if wait is None else wait
+    patience_s = client.PATIENCE_S[CommandKind.STOP] if wait is None else wait
     stops: list[StationStop] = []
 
     def send(stations: Sequence[RunningStation]) -> None:

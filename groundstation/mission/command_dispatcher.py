@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from groundstation.mission.timetable import Timetable
-from shoal.messages.messages import Command, Order, Reply, Trajectory
+from shoal.messages.messages import Command, CommandKind, Reply, Trajectory
 
 RETRY_S = 0.25  # between two tries of one command to one robot; half of the station's ORDER_TIMEOUT_S
 
@@ -54,15 +54,15 @@ class CommandDispatcher:
             if not reply.accepted:
                 how = "has not answered" if reply.silent else "refuses"
                 refusal = f"robot {command.robot} {how} {command.order.name}: {reply.reason}"
-            elif command.order is Order.LOAD:
+            elif command.order is CommandKind.LOAD:
                 self.loaded.add((command.robot, command.trajectory_id))
-            elif command.order is Order.TEST:
+            elif command.order is CommandKind.TEST:
                 self.tested[command.robot] = now_ns
         return refusal
 
     def commands(
         self,
-        order: Order,
+        order: CommandKind,
         trajectories: Mapping[int, Trajectory | None],
         now_ns: int,
         timetable: Timetable | None = None,
@@ -76,7 +76,7 @@ class CommandDispatcher:
                 experiment_hash=self._hash,
                 trajectory_id=trajectory.id if (trajectory := trajectories[robot]) is not None else "",
                 trajectory_s=timetable.from_s if timetable is not None else 0.0,
-                trajectory=trajectory if order is Order.LOAD else None,
+                trajectory=trajectory if order is CommandKind.LOAD else None,
                 start_ns=timetable.start_ns if timetable is not None else 0,
             )
             for robot in self._timer.due(trajectories, now_ns)

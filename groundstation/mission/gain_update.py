@@ -20,13 +20,13 @@ from shoal.config.experiment import Experiment
 from shoal.config.scene import Circle
 from shoal.errors import ConfigError
 from shoal.messages.live_gains import tuned, tuning
-from shoal.messages.messages import Command, Mode, Order, RobotState, Tuning
+from shoal.messages.messages import Command, CommandKind, Mode, RobotState, Tuning
 
 PATIENCE_S = 3.0  # for all robots to reply in one stage
 AGAIN_S = 2.0  # between tries to give a restarted robot the fleet's gains
 MOST_UNDONE = 50  # sets that can be undone
 
-TUNING = frozenset({Order.TUNE, Order.ADOPT})
+TUNING = frozenset({CommandKind.TUNE, CommandKind.ADOPT})
 
 
 class GainStage(Enum):
@@ -159,7 +159,7 @@ class GainUpdater:
         change = self._change
         if change is None:
             return self._update_returned(fleet, now_ns)
-        order = Order.TUNE if self._stage is GainStage.ASKING else Order.ADOPT
+        order = CommandKind.TUNE if self._stage is GainStage.ASKING else CommandKind.ADOPT
         for result in results:
             if result.command.order is order and result.command.robot in change.robots and _is_about(result, change):
                 if not result.reply.accepted and not result.reply.silent:
@@ -184,17 +184,17 @@ class GainUpdater:
             return self._give_up(f"robot {', '.join(late)} did not change over", fleet, now_ns)
         return ()
 
-    def _ask(self, order: Order, robots: Sequence[int], change: _Change, now_ns: int) -> tuple[Command, ...]:
+    def _ask(self, order: CommandKind, robots: Sequence[int], change: _Change, now_ns: int) -> tuple[Command, ...]:
         left_s = max(START_IN_S - (now_ns - self._since_ns) * 1e-9, 0.0)  # a second try counts from the same instant
         return tuple(
             Command(
                 order,
                 robot,
                 experiment_hash=self._experiment.hash,
-                start_in_s=left_s if order is Order.ADOPT else 0.0,
-                trajectory_s=change.trajectory_s if order is Order.ADOPT else 0.0,
+                start_in_s=left_s if order is CommandKind.ADOPT else 0.0,
+                trajectory_s=change.trajectory_s if order is CommandKind.ADOPT else 0.0,
                 tuning_id=change.message.id,
-                tuning=change.message if order is Order.TUNE else None,
+                tuning=change.message if order is CommandKind.TUNE else None,
             )
             for robot in self._timer.due(robots, now_ns)
         )

@@ -48,7 +48,7 @@ from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_
 from shoal.config.experiment import Experiment, with_flight
 from shoal.frames import Array
 from shoal.messages import topics
-from shoal.messages.messages import Command, Mode, Order, RobotState
+from shoal.messages.messages import Command, CommandKind, Mode, RobotState
 
 PATIENCE_S = 10.0  # for a robot to do what it was commanded; then the mission aborts
 JOIN_WITHIN_S = 3.5  # for a robot to begin to fly with the others, who fly already: as long as robots fly without a station
@@ -63,33 +63,35 @@ ATTENDED = "a person attends, and has to start it"  # an automatic mission, once
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 # States before anybody flies, in which the loss of a robot that was armed ends what was asked for.
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING, MissionState.TEST_ARMING})
-OTHER_FLIGHTS = (Order.FORMATION, Order.PATH)
-ASKS_TO_ARM = frozenset({Order.LOAD, Order.ARM, Order.START, Order.TEST, Order.RETURN, Order.REJOIN})
+OTHER_FLIGHTS = (CommandKind.FORMATION, CommandKind.PATH)
+ASKS_TO_ARM = frozenset(
+    {CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST, CommandKind.RETURN, CommandKind.REJOIN}
+)
 
 
 @dataclass(frozen=True)
 class CommandStage:
     """A state that sends every robot one command until all have confirmed it."""
 
-    order: Order
+    order: CommandKind
     confirmed: Callable[[Mode | None, bool], bool]  # (mode, None if not known; trajectory loaded) -> done
 
 
 STAGES: dict[MissionState, CommandStage] = {
-    MissionState.LOADING: CommandStage(Order.LOAD, lambda mode, loaded: loaded),
-    MissionState.ARMING: CommandStage(Order.ARM, lambda mode, loaded: mode in ARMED),
-    MissionState.STARTING: CommandStage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
-    MissionState.RESUMING: CommandStage(Order.RESUME, lambda mode, loaded: mode is Mode.TRACKING),
-    MissionState.RELOADING: CommandStage(Order.LOAD, lambda mode, loaded: loaded),
-    MissionState.REARMING: CommandStage(Order.ARM, lambda mode, loaded: mode in ARMED),
-    MissionState.RELEASING: CommandStage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
-    MissionState.ENDING: CommandStage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
+    MissionState.LOADING: CommandStage(CommandKind.LOAD, lambda mode, loaded: loaded),
+    MissionState.ARMING: CommandStage(CommandKind.ARM, lambda mode, loaded: mode in ARMED),
+    MissionState.STARTING: CommandStage(CommandKind.START, lambda mode, loaded: mode is Mode.TRACKING),
+    MissionState.RESUMING: CommandStage(CommandKind.RESUME, lambda mode, loaded: mode is Mode.TRACKING),
+    MissionState.RELOADING: CommandStage(CommandKind.LOAD, lambda mode, loaded: loaded),
+    MissionState.REARMING: CommandStage(CommandKind.ARM, lambda mode, loaded: mode in ARMED),
+    MissionState.RELEASING: CommandStage(CommandKind.START, lambda mode, loaded: mode is Mode.TRACKING),
+    MissionState.ENDING: CommandStage(CommandKind.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
     MissionState.CLEARING: CommandStage(
-        Order.CLEAR_STOP, lambda mode, loaded: mode is not None and mode not in LIVE | {Mode.STOPPED}
+        CommandKind.CLEAR_STOP, lambda mode, loaded: mode is not None and mode not in LIVE | {Mode.STOPPED}
     ),
-    MissionState.ABORTING: CommandStage(Order.DISARM, lambda mode, loaded: mode is not None and mode not in LIVE),
-    MissionState.TEST_ARMING: CommandStage(Order.ARM, lambda mode, loaded: mode is Mode.ARMED),
-    MissionState.TEST_ENDING: CommandStage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
+    MissionState.ABORTING: CommandStage(CommandKind.DISARM, lambda mode, loaded: mode is not None and mode not in LIVE),
+    MissionState.TEST_ARMING: CommandStage(CommandKind.ARM, lambda mode, loaded: mode is Mode.ARMED),
+    MissionState.TEST_ENDING: CommandStage(CommandKind.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
 }
 # States in which the last refusal replaces the reason. Elsewhere the reason that led to the state stays.
 SHOWS_REFUSALS = frozenset(STAGES) - {MissionState.ENDING, MissionState.ABORTING}
@@ -165,7 +167,9 @@ class Mission:
 
     # --- requests of the operator
 
-    def request(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
+    def request(
+        self, order: CommandKind, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = (), text: str = ""
+    ) -> str:
         """Take up a request; `via`: places of a GO, `text`: form of a FORMATION, experiment of a PATH. Returns the reason of a
         refusal; empty when it is under way."""
         reason = rejection_reason(order, self.state) or self.objection(order, fleet, via, text)
@@ -175,38 +179,38 @@ class Mission:
         before, why = self.state, self.reason
         if order in ASKS_TO_ARM:
             self._may_arm(now_ns)
-        if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
+        if order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST):
             self._begin_run()
-        self._last_state = {Order.LOAD: MissionState.LOADING, Order.ARM: MissionState.ARMING}.get(order)
+        self._last_state = {CommandKind.LOAD: MissionState.LOADING, CommandKind.ARM: MissionState.ARMING}.get(order)
         at_rest = before in AT_REST and order in OTHER_FLIGHTS
-        if order is not Order.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
-            self._needs_operator = order in (Order.HOLD, Order.CLEAR_STOP) or at_rest
+        if order is not CommandKind.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
+            self._needs_operator = order in (CommandKind.HOLD, CommandKind.CLEAR_STOP) or at_rest
         self._prepare(order, fleet, text)
         self._go(order, now_ns)
         if at_rest:
-            flown = with_flight(self._experiment, text) if order is Order.PATH else None
+            flown = with_flight(self._experiment, text) if order is CommandKind.PATH else None
             self.plans.request_at_rest(fleet, flown, text)
-        if order is Order.DISARM and before in TERMINAL | {MissionState.ENDING}:
+        if order is CommandKind.DISARM and before in TERMINAL | {MissionState.ENDING}:
             self.reason = why
-        elif order is Order.DISARM:
+        elif order is CommandKind.DISARM:
             if self._run.ended_by is MissionEvent.ALL_CONFIRMED:
                 self._run.ended_by = MissionEvent.DISARMED_CANCELLED
             self.reason = f"a person asked for DISARM when {before.name}"
-        if order is Order.RESUME:
+        if order is CommandKind.RESUME:
             self._replan_if_needed(fleet, now_ns)
-        if order is Order.GO:
+        if order is CommandKind.GO:
             self.plans.request_replan(fleet, now_ns, tuple(via))
-        if order is Order.FORMATION:
+        if order is CommandKind.FORMATION:
             self._form = text
             if self.state is MissionState.SWITCHING:
                 self.plans.request_form(text, fleet, now_ns)
         return ""
 
-    def _prepare(self, order: Order, fleet: Fleet, text: str) -> None:
+    def _prepare(self, order: CommandKind, fleet: Fleet, text: str) -> None:
         """Set roster and plans for a request, before the state changes."""
-        if order is Order.RETURN:
+        if order is CommandKind.RETURN:
             self._prepare_return(fleet)
-        if order is Order.REJOIN:
+        if order is CommandKind.REJOIN:
             self.roster.reinstate(fit_to_rejoin(self._context(fleet)))
             if self._awaits_return:
                 self.plans.target_return()
@@ -214,23 +218,23 @@ class Mission:
                 self.plans.target_slots()
         if order in OTHER_FLIGHTS and self.state in AT_REST:
             self.plans.reset()  # it begins another run, with all robots
-        elif order is Order.FORMATION and self.state is MissionState.PAUSED:
+        elif order is CommandKind.FORMATION and self.state is MissionState.PAUSED:
             self.plans.target_form(text)
-        elif order is Order.PATH:
+        elif order is CommandKind.PATH:
             self.plans.target_flight(with_flight(self._experiment, text))
             self._run.homeward = False
-        if order in (Order.RETURN, Order.REJOIN, *OTHER_FLIGHTS):
+        if order in (CommandKind.RETURN, CommandKind.REJOIN, *OTHER_FLIGHTS):
             self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
-        if order is Order.HOLD:
+        if order is CommandKind.HOLD:
             self.roster.take_back()
             if self.state in PLANNING:
                 self._drop_disarmed(fleet)
 
-    def takes_out(self, order: Order) -> bool:
+    def takes_out(self, order: CommandKind) -> bool:
         """True if such an order takes its robot out of the formation: in flight always, while all hold DISARM and OUT."""
-        return self.state in NOMINAL or (self.state is MissionState.PAUSED and order in (Order.DISARM, Order.OUT))
+        return self.state in NOMINAL or (self.state is MissionState.PAUSED and order in (CommandKind.DISARM, CommandKind.OUT))
 
-    def lead(self, robot: int, order: Order) -> None:
+    def lead(self, robot: int, order: CommandKind) -> None:
         """Let a person lead one robot."""
         self._give_up_s = None
         self._needs_operator = True
@@ -248,10 +252,10 @@ class Mission:
         else:
             self.roster.put_back(robot, self.state in AT_REST | {MissionState.STOPPED})
 
-    def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
+    def objection(self, order: CommandKind, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
         # Takes in robots that the last run had lost.
-        from_rest = order in (Order.RETURN, *OTHER_FLIGHTS) and self.state in AT_REST
+        from_rest = order in (CommandKind.RETURN, *OTHER_FLIGHTS) and self.state in AT_REST
         roster = Roster(self._experiment.robot_ids, self.segment, self.roster.out) if from_rest else self.roster
         context = replace(self._context(fleet, roster, via), text=text)
         return objection(order, replace(context, transfer=self.segment.is_separate(self.plans.progress_s)))
@@ -326,7 +330,7 @@ class Mission:
         if self.state is MissionState.PAUSED:
             return self._pause(fleet, now_ns)
         if self.state is MissionState.STOPPED:
-            return self._send(Order.STOP, _not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
+            return self._send(CommandKind.STOP, _not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
         return ()
 
     def _command_others(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
@@ -335,13 +339,13 @@ class Mission:
         heard, so its last known mode counts. The mission does not wait for it."""
         if self.state is MissionState.ENDING:  # lost robots that are heard are disarmed with the others
             silent = [r for r in self.roster.lost if not fleet[r].heard and fleet[r].mode in LIVE]
-            return self._send(Order.DISARM, silent, now_ns)
+            return self._send(CommandKind.DISARM, silent, now_ns)
         if self.state is MissionState.STOPPED:  # every robot is sent STOP
             return ()
-        disarm = self._send(Order.DISARM, [r for r in sorted(self.roster.out) if fleet[r].mode in LIVE], now_ns)
+        disarm = self._send(CommandKind.DISARM, [r for r in sorted(self.roster.out) if fleet[r].mode in LIVE], now_ns)
         others = self.roster.all_robots if self.state in AT_REST else self.roster.lost if self.state in COMMITTED else ()
         left = self.roster.led_by_people | self.roster.out
-        return disarm + self._send(Order.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in left], now_ns)
+        return disarm + self._send(CommandKind.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in left], now_ns)
 
     def _wait(self, fleet: Fleet, now_ns: int) -> None:
         moves = any(fleet[r].heard and fleet[r].mode in MOVING for r in self.roster.all_robots)
@@ -549,7 +553,7 @@ class Mission:
             sent_ns = now_ns - view.state_age_s * 1e9
             if view.mode in LIVE and sent_ns >= self._asked_ns:
                 self._powered_ns[robot] = max(sent_ns, self._powered_ns.get(robot, sent_ns))
-        accepted = [r.command.robot for r in results if r.command.order is Order.ARM and r.reply.accepted]
+        accepted = [r.command.robot for r in results if r.command.order is CommandKind.ARM and r.reply.accepted]
         self._powered_ns |= dict.fromkeys(accepted, now_ns)
 
     def _lost_power(self, robot: int, view: RobotView, now_ns: int) -> bool:
@@ -562,7 +566,7 @@ class Mission:
         """True if a fresh state shows that the robot has done the stage's command. For DISARM and CLEAR_STOP only a state
         that was sent since the stage began counts: an ARM or a STOP may have been on its way."""
         view = fleet[robot]
-        counts = self._spoke(view, now_ns) or (view.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
+        counts = self._spoke(view, now_ns) or (view.heard and stage.order not in (CommandKind.DISARM, CommandKind.CLEAR_STOP))
         return counts and stage.confirmed(view.mode, self.roster.has_loaded(self.segment, fleet, robot))
 
     def _spoke(self, view: RobotView, now_ns: int) -> bool:
@@ -589,7 +593,7 @@ class Mission:
             self._go(MissionEvent.RECOVERED, now_ns)
             self._replan_if_needed(fleet, now_ns)
             return ()
-        return self._send(Order.HOLD, [r for r in moving if r not in self.roster.led_by_people], now_ns)
+        return self._send(CommandKind.HOLD, [r for r in moving if r not in self.roster.led_by_people], now_ns)
 
     @property
     def _may_replan(self) -> bool:
@@ -636,7 +640,7 @@ class Mission:
             if waited_s > PATIENCE_S:
                 self._on_timeout(f"robot {', '.join(map(str, flying))} does not follow HOLD", now_ns)
                 return ()
-            return self._send(Order.HOLD, flying, now_ns)
+            return self._send(CommandKind.HOLD, flying, now_ns)
         fast = any(fleet[r].speed_mps > AT_REST_MPS for r in self.roster.active if fleet[r].mode is Mode.HOLDING)
         if not fast or waited_s > REST_WITHIN_S:
             self.plans.request_plan_from_rest(fleet)
@@ -652,7 +656,7 @@ class Mission:
         if now_ns - self._data.since_ns > TEST_PATIENCE_S * 1e9:
             self._on_timeout(f"the thruster test does not end: {results}", now_ns)
             return ()
-        return self._send(Order.TEST, [r for r in self.roster.active if r not in self._dispatcher.tested], now_ns)
+        return self._send(CommandKind.TEST, [r for r in self.roster.active if r not in self._dispatcher.tested], now_ns)
 
     def _test_result(self, robot: int, view: RobotView, now_ns: int) -> str:
         """Result from a state sent since the robot accepted TEST; an earlier state is about an earlier test."""
@@ -709,12 +713,12 @@ class Mission:
             return ()
         trajectories = {r: self.roster.trajectory(plans.next, r) for r in going}
         missing = [r for r, t in trajectories.items() if t is None or (r, t.id) not in self._dispatcher.loaded]
-        return self._send(Order.LOAD, missing, now_ns) if missing else self._send(Order.SWITCH, going, now_ns)
+        return self._send(CommandKind.LOAD, missing, now_ns) if missing else self._send(CommandKind.SWITCH, going, now_ns)
 
     # --- commands and transitions
 
-    def _send(self, order: Order, robots: Sequence[int], now_ns: int) -> tuple[Command, ...]:
-        begins = order in (Order.START, Order.RESUME)
+    def _send(self, order: CommandKind, robots: Sequence[int], now_ns: int) -> tuple[Command, ...]:
+        begins = order in (CommandKind.START, CommandKind.RESUME)
         trajectories = {robot: self.plans.trajectory_for(order, robot) for robot in robots}
         return self._dispatcher.commands(order, trajectories, now_ns, self._timetable if begins else None)
 
@@ -730,7 +734,7 @@ class Mission:
         else:
             self._fail(MissionEvent.TIMEOUT, reason, now_ns)
 
-    def _go(self, cause: Order | MissionEvent, now_ns: int) -> None:
+    def _go(self, cause: CommandKind | MissionEvent, now_ns: int) -> None:
         """Follow the table. Raises RuntimeError where it has no row: a bug."""
         state = next_state(self.state, cause)
         if state is None:

@@ -13,7 +13,7 @@ from shoal.config.experiment import Experiment, with_flight
 from shoal.config.scene import Circle, read_form
 from shoal.errors import ConfigError
 from shoal.frames import Array
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import CommandKind, Mode
 
 ARMED = frozenset({Mode.ARMED, Mode.HOLDING})
 MOVING = frozenset({Mode.TRACKING, Mode.DRIVEN})
@@ -37,7 +37,7 @@ class RequestContext:
     transfer: bool = False  # robots fly separate transfers now
 
 
-def objection(order: Order, context: RequestContext) -> str:
+def objection(order: CommandKind, context: RequestContext) -> str:
     """Reason against a request in a state that allows it; empty if there is none."""
     return next((reason for check in OBJECTIONS.get(order, ()) if (reason := check(context))), "")
 
@@ -190,17 +190,17 @@ def _none_can_return(context: RequestContext) -> str:
 
 Check = Callable[[RequestContext], str]
 
-OBJECTIONS: Mapping[Order, tuple[Check, ...]] = {
-    Order.LOAD: (_moves, _being_planned),
-    Order.ARM: (_moves, _being_planned, _unfit_to_start),
-    Order.START: (_moves, _being_planned, _unfit_to_start),
-    Order.TEST: (_moves, _unfit_to_test),
-    Order.RESUME: (_not_holding, _foreign_poses),
-    Order.CLEAR_STOP: (_not_stopped,),
-    Order.HOLD: (_none_armed,),
-    Order.GO: (_foreign_poses, _returns, _no_places, _unchangeable, _outside),
-    Order.FORMATION: (_foreign_poses, _returns, _no_form, _on_transfers, _not_placed),
-    Order.PATH: (_foreign_poses, _no_flight, _not_placed),
-    Order.REJOIN: (_foreign_poses, _none_lost, _no_place_left, _none_can_rejoin),
-    Order.RETURN: (_foreign_poses, _none_can_return),
+OBJECTIONS: Mapping[CommandKind, tuple[Check, ...]] = {
+    CommandKind.LOAD: (_moves, _being_planned),
+    CommandKind.ARM: (_moves, _being_planned, _unfit_to_start),
+    CommandKind.START: (_moves, _being_planned, _unfit_to_start),
+    CommandKind.TEST: (_moves, _unfit_to_test),
+    CommandKind.RESUME: (_not_holding, _foreign_poses),
+    CommandKind.CLEAR_STOP: (_not_stopped,),
+    CommandKind.HOLD: (_none_armed,),
+    CommandKind.GO: (_foreign_poses, _returns, _no_places, _unchangeable, _outside),
+    CommandKind.FORMATION: (_foreign_poses, _returns, _no_form, _on_transfers, _not_placed),
+    CommandKind.PATH: (_foreign_poses, _no_flight, _not_placed),
+    CommandKind.REJOIN: (_foreign_poses, _none_lost, _no_place_left, _none_can_rejoin),
+    CommandKind.RETURN: (_foreign_poses, _none_can_return),
 }

@@ -21,7 +21,7 @@ from groundstation.telemetry import Fleet, RobotView
 from shoal.config.experiment import Experiment
 from shoal.config.scene import read_form
 from shoal.frames import Array
-from shoal.messages.messages import Order, Trajectory
+from shoal.messages.messages import CommandKind, Trajectory
 
 AHEAD_S = 2.0  # from the request to the beginning of another path: covers planning, and loading it into all robots
 LAST_CALL_S = 0.3  # before the beginning: all robots must have the next segment by then
@@ -95,9 +95,9 @@ class PlanManager:
         self._flight, self._first, self.starts = flight, first, dict(starts)
         self.flown = self.monitor.flown = flight.experiment
 
-    def trajectory_for(self, order: Order, robot: int) -> Trajectory | None:
+    def trajectory_for(self, order: CommandKind, robot: int) -> Trajectory | None:
         """Trajectory that a command to a robot is about; None if it has no part in the segment."""
-        loads_next = self.next is not None and order in (Order.LOAD, Order.SWITCH)
+        loads_next = self.next is not None and order in (CommandKind.LOAD, CommandKind.SWITCH)
         return self._roster.trajectory(self.next if loads_next else self.segment, robot)
 
     # --- plans

@@ -24,7 +24,7 @@ from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
-from shoal.messages.messages import Mode, Order, Outcome, Progress
+from shoal.messages.messages import CommandKind, Mode, Outcome, Progress
 from shoal.messages.topics import WHOLE_FLEET
 
 # Outcomes of requests that are over, besides one of each robot: a STOP ends the requests of all robots at once. A terminal
@@ -78,41 +78,45 @@ class RequestGoal:
     new_segment: bool = False
 
 
-GOALS: dict[Order, RequestGoal] = {
-    Order.LOAD: RequestGoal(frozenset(), frozenset({MissionState.LOADING}), _loaded, repeats=True),
-    Order.ARM: RequestGoal(frozenset({MissionState.LOADING}), frozenset({MissionState.ARMING}), _in(*ARMED), repeats=True),
-    Order.START: RequestGoal(
+GOALS: dict[CommandKind, RequestGoal] = {
+    CommandKind.LOAD: RequestGoal(frozenset(), frozenset({MissionState.LOADING}), _loaded, repeats=True),
+    CommandKind.ARM: RequestGoal(
+        frozenset({MissionState.LOADING}), frozenset({MissionState.ARMING}), _in(*ARMED), repeats=True
+    ),
+    CommandKind.START: RequestGoal(
         frozenset({MissionState.LOADING, MissionState.ARMING, MissionState.STARTING}), IN_FLIGHT, _in(Mode.TRACKING)
     ),
-    Order.HOLD: RequestGoal(frozenset(), frozenset({MissionState.PAUSED}), _in(Mode.HOLDING), repeats=True, moving=True),
-    Order.RESUME: RequestGoal(_FROM_REST | {MissionState.RESUMING}, IN_FLIGHT, _in(Mode.TRACKING)),
-    Order.GO: RequestGoal(frozenset({MissionState.SWITCHING}), NOMINAL, _in(Mode.TRACKING), new_segment=True),
-    Order.FORMATION: RequestGoal(_FROM_REST | {MissionState.SWITCHING}, NOMINAL, _in(Mode.TRACKING), new_segment=True),
-    Order.PATH: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), new_segment=True),
-    Order.RETURN: RequestGoal(
+    CommandKind.HOLD: RequestGoal(frozenset(), frozenset({MissionState.PAUSED}), _in(Mode.HOLDING), repeats=True, moving=True),
+    CommandKind.RESUME: RequestGoal(_FROM_REST | {MissionState.RESUMING}, IN_FLIGHT, _in(Mode.TRACKING)),
+    CommandKind.GO: RequestGoal(frozenset({MissionState.SWITCHING}), NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    CommandKind.FORMATION: RequestGoal(_FROM_REST | {MissionState.SWITCHING}, NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    CommandKind.PATH: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    CommandKind.RETURN: RequestGoal(
         _FROM_REST | IN_FLIGHT | {MissionState.ENDING},
         frozenset({MissionState.DONE}),
         _back,
         all_robots=True,
         new_segment=True,
     ),
-    Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), begun=True, new_segment=True),
-    Order.DISARM: RequestGoal(
+    CommandKind.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), begun=True, new_segment=True),
+    CommandKind.DISARM: RequestGoal(
         frozenset({MissionState.ENDING, MissionState.ABORTING}),
         AT_REST,
         _in(Mode.DISARMED),
         all_robots=True,
     ),
-    Order.STOP: RequestGoal(frozenset(), frozenset({MissionState.STOPPED}), _in(Mode.STOPPED), repeats=True, all_robots=True),
-    Order.CLEAR_STOP: RequestGoal(
+    CommandKind.STOP: RequestGoal(
+        frozenset(), frozenset({MissionState.STOPPED}), _in(Mode.STOPPED), repeats=True, all_robots=True
+    ),
+    CommandKind.CLEAR_STOP: RequestGoal(
         frozenset({MissionState.CLEARING}), frozenset({MissionState.WAITING}), _not_in(LIVE | {Mode.STOPPED}), all_robots=True
     ),
-    Order.TEST: RequestGoal(
+    CommandKind.TEST: RequestGoal(
         frozenset({MissionState.TEST_ARMING, MissionState.TESTING, MissionState.TEST_ENDING}),
         frozenset({MissionState.WAITING}),
         _tested,
     ),
-    Order.END: RequestGoal(
+    CommandKind.END: RequestGoal(
         frozenset({MissionState.ENDING, MissionState.ABORTING}), UNARMED, _not_in(LIVE), repeats=True, all_robots=True
     ),
 }
@@ -126,7 +130,7 @@ class _Request:
     """A request that is not over."""
 
     number: int
-    order: Order
+    order: CommandKind
     segment: PlanSegment
     active: tuple[int, ...]  # robots that took part when it began
     tuning_id: str = ""  # TUNE: the requested set
@@ -148,18 +152,18 @@ class RequestTracker:
         self._outcomes: list[Outcome] = []
         self.recent: tuple[Outcome, ...] = ()  # oldest first; replaced, never changed: other threads read it
 
-    def begin(self, order: Order, mission: Mission, tuning_id: str = "") -> int:
+    def begin(self, order: CommandKind, mission: Mission, tuning_id: str = "") -> int:
         """Count a request of the whole fleet that was taken up. Returns its number. A repetition while it is under way is the
         same request; another one takes its place."""
         gains = order in TUNING
         for request in [r for r in self._open if r.task is None and (r.order in TUNING) is gains]:
-            if request.order is order and order not in (Order.GO, *OTHER_FLIGHTS, Order.TUNE):
+            if request.order is order and order not in (CommandKind.GO, *OTHER_FLIGHTS, CommandKind.TUNE):
                 return request.number
             self._open.remove(request)
             self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
         return self._open_one(order, mission, tuning_id=tuning_id)
 
-    def note_done(self, order: Order, mission: Mission) -> int:
+    def note_done(self, order: CommandKind, mission: Mission) -> int:
         """Count a request that was done at once, and that nothing else follows. Returns its number."""
         self._count += 1
         self._record(_Request(self._count, order, mission.segment, mission.roster.active), mission, Progress.DONE)
@@ -171,7 +175,7 @@ class RequestTracker:
         return number or self._open_one(task.order, mission, only=robot, task=task)
 
     def _open_one(
-        self, order: Order, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET, task: RobotTask | None = None
+        self, order: CommandKind, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET, task: RobotTask | None = None
     ) -> int:
         self._count += 1
         at_rest = order in OTHER_FLIGHTS and mission.state is MissionState.WAITING
@@ -193,7 +197,7 @@ class RequestTracker:
     @property
     def ending(self) -> bool:
         """True if the run ends as soon as all robots are at rest."""
-        return any(request.order is Order.END for request in self._open)
+        return any(request.order is CommandKind.END for request in self._open)
 
     def outcome(self, number: int) -> Outcome | None:
         """Outcome of a request; None if the number is not known, or no longer."""
@@ -240,7 +244,7 @@ class RequestTracker:
         goal = PLANNED_AT_REST if request.at_rest else GOALS[request.order]
         robots = self._concerned(request, mission, fleet)
         waiting = [robot for robot in robots if not goal.confirmed(mission, fleet[robot], robot)]
-        if request.order is Order.HOLD and mission.cycle_ns - request.begun_ns < REST_WITHIN_S * 1e9:
+        if request.order is CommandKind.HOLD and mission.cycle_ns - request.begun_ns < REST_WITHIN_S * 1e9:
             waiting = [robot for robot in robots if robot in waiting or not _rests(fleet[robot])]
         planning = request.at_rest and mission.plan_request is not None
         if mission.state in goal.through or (planning and mission.state in goal.to):
@@ -248,7 +252,7 @@ class RequestTracker:
         stands = f"{mission.state.value}{f': {mission.reason}' if mission.reason else ''}"
         if mission.state not in goal.to or (goal.new_segment and mission.segment is request.segment):
             return Progress.FAILED, (request.at_rest and mission.plans.failure) or stands, waiting
-        if request.order is Order.END:  # a robot that is not heard cannot be waited for: it comes to rest by itself
+        if request.order is CommandKind.END:  # a robot that is not heard cannot be waited for: it comes to rest by itself
             flying = [robot for robot in waiting if may_move(fleet[robot])]
             return (Progress.UNDER_WAY if flying else Progress.DONE), "", waiting
         lost = mission.roster.lost

@@ -24,21 +24,21 @@ from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView, foreign_poses, preflight
 from shoal.config.experiment import Experiment
-from shoal.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
+from shoal.messages.messages import Command, CommandKind, DriveVelocity, Mode, Progress, Trajectory
 
 WHEN = NOMINAL | AT_REST | {MissionState.PAUSED}
 # A robot that is led in flight is out of the formation, which may make itself a new plan at that very request.
 GOES_ON = WHEN | IN_FLIGHT
 # While the mission disarms all robots it does what a DISARM of one asks for; any other request for one is over then.
 DISARMING = frozenset({MissionState.ENDING, MissionState.ABORTING})
-LED = frozenset({Order.DRIVE, Order.GO})  # requests by which a robot moves by its poses
+LED = frozenset({CommandKind.DRIVE, CommandKind.GO})  # requests by which a robot moves by its poses
 WATER_WHEN = WHEN | {MissionState.STOPPED}  # after an emergency stop people fetch robots from the water
 VELOCITY_LASTS_S = 0.3  # of the person's last word; then the robot is told to hold
 
-CONFIRMS: Mapping[Order, frozenset[Mode]] = {
-    Order.ARM: ARMED,
-    Order.HOLD: frozenset({Mode.HOLDING}),
-    Order.DISARM: frozenset({Mode.DISARMED}),
+CONFIRMS: Mapping[CommandKind, frozenset[Mode]] = {
+    CommandKind.ARM: ARMED,
+    CommandKind.HOLD: frozenset({Mode.HOLDING}),
+    CommandKind.DISARM: frozenset({Mode.DISARMED}),
 }  # modes in which a robot has done a request
 
 
@@ -46,7 +46,7 @@ CONFIRMS: Mapping[Order, frozenset[Mode]] = {
 class RobotTask:
     """A request for one robot, from its beginning to its end: another request for the robot ends it, and never changes it."""
 
-    order: Order
+    order: CommandKind
     since_ns: int  # of its present stage
     progress: Progress = Progress.UNDER_WAY
     reason: str = ""  # of a failure, or the last refusal
@@ -85,7 +85,9 @@ class SingleRobotControl:
 
     # --- requests
 
-    def request(self, order: Order, robot: int, fleet: Fleet, now_ns: int, place_m: tuple[float, float] | None = None) -> str:
+    def request(
+        self, order: CommandKind, robot: int, fleet: Fleet, now_ns: int, place_m: tuple[float, float] | None = None
+    ) -> str:
         """Take up a request. Returns the reason of a refusal; empty when it is under way."""
         if order not in ONE_ROBOT:
             return f"{order.name} is not for one robot (allowed: {', '.join(o.name for o in ONE_ROBOT)})"
@@ -96,30 +98,30 @@ class SingleRobotControl:
             self._begin(robot, RobotTask(order, now_ns, place_m=place_m))
         return reason
 
-    def _note_water(self, order: Order, robot: int, now_ns: int) -> None:
+    def _note_water(self, order: CommandKind, robot: int, now_ns: int) -> None:
         """Take note that a person took a robot out of the water, or put it back: done at once."""
         if self._under_way(robot) is not None:
             self._end(robot, f"{order.name} was asked for instead")
         self.tasks[robot] = RobotTask(order, now_ns, Progress.DONE)
-        self._mission.note_water(robot, order is Order.OUT)
+        self._mission.note_water(robot, order is CommandKind.OUT)
 
     def drive(self, robot: int, velocity: DriveVelocity, fleet: Fleet, now_ns: int) -> str:
         """Take a person's newest velocity for a robot; all zeros let go. Returns the reason of a refusal, or nothing. A drive
         that another request has ended goes on only after it was let go."""
         task = self._under_way(robot)
-        driven = task is not None and task.order is Order.DRIVE
+        driven = task is not None and task.order is CommandKind.DRIVE
         lets_go = velocity.surge_mps == velocity.heave_mps == velocity.yaw_rate_radps == 0.0
         if lets_go:
             self._interrupted_ns.pop(robot, None)
             if task is not None and driven and task.velocity is not None:
                 self._let_go(robot, task, now_ns)
             return ""
-        reason = self._objection(Order.DRIVE, robot, fleet, None, GOES_ON if driven else WHEN)
+        reason = self._objection(CommandKind.DRIVE, robot, fleet, None, GOES_ON if driven else WHEN)
         reason = reason or self._interruption(robot, now_ns)
         if reason:
             return reason
         if task is None or not driven:
-            self._begin(robot, RobotTask(Order.DRIVE, now_ns, velocity=velocity))
+            self._begin(robot, RobotTask(CommandKind.DRIVE, now_ns, velocity=velocity))
             return ""
         task.velocity, task.since_ns = velocity, now_ns
         return task.reason
@@ -139,11 +141,11 @@ class SingleRobotControl:
     def _begin(self, robot: int, task: RobotTask) -> None:
         """Lead a robot by a new task; the one before it fails. A repetition of the same request is no other one."""
         before = self._under_way(robot)
-        if before is not None and before.order is task.order and task.order is not Order.GO:
+        if before is not None and before.order is task.order and task.order is not CommandKind.GO:
             return
         if before is not None:
             self._end(robot, f"{task.order.name} was asked for instead")
-            if before.order is Order.DRIVE and before.velocity is not None:
+            if before.order is CommandKind.DRIVE and before.velocity is not None:
                 self._interrupted_ns[robot] = task.since_ns
         self.tasks[robot] = task
         self._dispatchers[robot].reset()
@@ -161,7 +163,7 @@ class SingleRobotControl:
 
     def _objection(
         self,
-        order: Order,
+        order: CommandKind,
         robot: int,
         fleet: Fleet,
         place_m: tuple[float, float] | None,
@@ -183,26 +185,26 @@ class SingleRobotControl:
             return f"robot {robot} is {TAKEN_OUT} (groundstation mission back-in --robot {robot})"
         if not view.heard:
             return f"robot {robot} is not heard"
-        if order is Order.ARM:
+        if order is CommandKind.ARM:
             if view.mode is not Mode.DISARMED:
                 return f"robot {robot} is {mode_name(view)}, not DISARMED"
             return "; ".join(preflight(self._experiment, {robot: view}))
-        if order is Order.DISARM:
+        if order is CommandKind.DISARM:
             return f"robot {robot} is STOPPED: clear the stop" if view.mode is Mode.STOPPED else ""
         if view.mode not in LIVE:
             return f"robot {robot} is {mode_name(view)}: arm it first"
         if order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
             return foreign
-        return self._no_place(robot, fleet, place_m) if order is Order.GO else ""
+        return self._no_place(robot, fleet, place_m) if order is CommandKind.GO else ""
 
-    def _wrong_water(self, order: Order, robot: int, view: RobotView) -> str:
+    def _wrong_water(self, order: CommandKind, robot: int, view: RobotView) -> str:
         """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
         roster = self._mission.roster
-        if (robot in roster.out) is (order is Order.OUT):
-            return f"robot {robot} is {'' if order is Order.OUT else 'not '}{TAKEN_OUT}"
-        if order is Order.OUT and may_have_power(view):
+        if (robot in roster.out) is (order is CommandKind.OUT):
+            return f"robot {robot} is {'' if order is CommandKind.OUT else 'not '}{TAKEN_OUT}"
+        if order is CommandKind.OUT and may_have_power(view):
             return f"robot {robot} is {mode_name(view)}: disarm it first"
-        if order is Order.OUT and set(roster.all_robots) - roster.out == {robot}:
+        if order is CommandKind.OUT and set(roster.all_robots) - roster.out == {robot}:
             return f"robot {robot} is the last one in the water"
         return ""
 
@@ -230,13 +232,13 @@ class SingleRobotControl:
             task = self._under_way(result.command.robot)
             if task is not None:
                 refusal = self._dispatchers[result.command.robot].on_results([result], now_ns)
-                task.reason = refusal if result.command.order is not Order.DRIVE or refusal else ""
+                task.reason = refusal if result.command.order is not CommandKind.DRIVE or refusal else ""
         commands: list[Command] = []
         for robot in self.tasks:
             task = self._under_way(robot)
             if task is None:
                 continue
-            goes_on = GOES_ON | DISARMING if task.order is Order.DISARM else GOES_ON
+            goes_on = GOES_ON | DISARMING if task.order is CommandKind.DISARM else GOES_ON
             if self._mission.state not in goes_on or robot not in self.led:
                 self._end(robot, f"the mission is {self._mission.state.value}")
             else:
@@ -248,14 +250,14 @@ class SingleRobotControl:
         if task.order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
             self._end(robot, foreign)  # the mission lets it hold
             return ()
-        if task.order is Order.DRIVE and task.velocity is not None:
+        if task.order is CommandKind.DRIVE and task.velocity is not None:
             return self._drive(robot, task, task.velocity, view, now_ns)
         if now_ns - task.since_ns > PATIENCE_S * 1e9 and not task.started:
             self._end(robot, task.reason or f"robot {robot} is {mode_name(view)}")
             return ()
-        if task.order is Order.GO:
+        if task.order is CommandKind.GO:
             return self._go(robot, task, view, fleet, now_ns)
-        order = Order.HOLD if task.order is Order.DRIVE else task.order
+        order = CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order
         if view.state_age_s * 1e9 < now_ns - task.since_ns and view.mode in CONFIRMS[order]:  # however late it came
             self._end(robot)
             return ()
@@ -267,13 +269,13 @@ class SingleRobotControl:
         """Send the newest velocity, and HOLD when none comes any more."""
         if now_ns - task.since_ns > VELOCITY_LASTS_S * 1e9:
             self._let_go(robot, task, now_ns)
-            return self._send(Order.HOLD, robot, None, now_ns)
+            return self._send(CommandKind.HOLD, robot, None, now_ns)
         if view.mode in (Mode.ARMED, Mode.TRACKING):
-            return self._send(Order.HOLD, robot, None, now_ns)
+            return self._send(CommandKind.HOLD, robot, None, now_ns)
         if view.mode not in (Mode.HOLDING, Mode.DRIVEN):
             self._end(robot, f"robot {robot} is {mode_name(view)}")
             return ()
-        return (Command(Order.DRIVE, robot, VELOCITY_LASTS_S, self._experiment.hash, drive=velocity),)
+        return (Command(CommandKind.DRIVE, robot, VELOCITY_LASTS_S, self._experiment.hash, drive=velocity),)
 
     def _go(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Hold, plan, load, start, fly, hold."""
@@ -283,7 +285,7 @@ class SingleRobotControl:
             return ()
         if transfer is None:
             if view.mode is not Mode.HOLDING:
-                return self._send(Order.HOLD, robot, None, now_ns)
+                return self._send(CommandKind.HOLD, robot, None, now_ns)
             rests = view.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
             if rests and self.plan_request is None:
                 self._plan(robot, task, view, fleet)
@@ -298,13 +300,13 @@ class SingleRobotControl:
         if view.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
             task.started = True  # at the path's end a robot that lags has SETTLE_S to come up
             settled = flown and (view.speed_mps < AT_REST_MPS or state.trajectory_s >= transfer.end_s)
-            return self._send(Order.HOLD, robot, None, now_ns) if settled else ()
+            return self._send(CommandKind.HOLD, robot, None, now_ns) if settled else ()
         if state.trajectory_id != trajectory.id:
-            return self._send(Order.LOAD, robot, trajectory, now_ns)
+            return self._send(CommandKind.LOAD, robot, trajectory, now_ns)
         if task.timetable is None:
             task.timetable = Timetable(now_ns + round(START_IN_S * 1e9), trajectory.begin_s + self._mission.governor.lag_s)
             self._dispatchers[robot].reset()
-        return self._send(Order.START, robot, trajectory, now_ns, task.timetable)
+        return self._send(CommandKind.START, robot, trajectory, now_ns, task.timetable)
 
     def _not_there(self, robot: int, task: RobotTask, view: RobotView) -> str:
         """Distance from a GO's place of a robot that may have lagged, or had something in its way; empty if it is there."""
@@ -340,15 +342,20 @@ class SingleRobotControl:
             self._end(robot, f"no way there: {outcome}")
 
     def _send(
-        self, order: Order, robot: int, trajectory: Trajectory | None, now_ns: int, timetable: Timetable | None = None
+        self, order: CommandKind, robot: int, trajectory: Trajectory | None, now_ns: int, timetable: Timetable | None = None
     ) -> tuple[Command, ...]:
         return self._dispatchers[robot].commands(order, {robot: trajectory}, now_ns, timetable)
 
 
 def _text(task: RobotTask) -> str:
-    if task.order is Order.GO and task.place_m is not None:
+    if task.order is CommandKind.GO and task.place_m is not None:
         return f"on its way to {task.place_m[0]:.2f}, {task.place_m[1]:.2f} m"
-    if task.order is Order.DRIVE and task.velocity is None:
+    if task.order is CommandKind.DRIVE and task.velocity is None:
         return "coming to rest"
-    doing = {Order.DRIVE: "driven", Order.ARM: "arming", Order.HOLD: "coming to rest", Order.DISARM: "disarming"}[task.order]
+    doing = {
+        CommandKind.DRIVE: "driven",
+        CommandKind.ARM: "arming",
+        CommandKind.HOLD: "coming to rest",
+        CommandKind.DISARM: "disarming",
+    }[task.order]
     return f"{doing}{f': {task.reason}' if task.reason else ''}"

@@ -7,7 +7,7 @@ groundstation/mission/mission.py follows this table and changes state in no othe
 from dataclasses import dataclass
 from enum import Enum
 
-from shoal.messages.messages import Command, Order, Outcome, Progress
+from shoal.messages.messages import Command, CommandKind, Outcome, Progress
 from shoal.messages.topics import WHOLE_FLEET
 
 READY = "fleet ready"  # WAITING, with nothing left to wait for
@@ -100,11 +100,13 @@ class MissionTransition:
     """A row of the table: from any of `states`, `cause` leads to state `to`. Rows do not overlap."""
 
     states: frozenset[MissionState]
-    cause: Order | MissionEvent
+    cause: CommandKind | MissionEvent
     to: MissionState
 
 
-def _row(states: MissionState | frozenset[MissionState], cause: Order | MissionEvent, to: MissionState) -> MissionTransition:
+def _row(
+    states: MissionState | frozenset[MissionState], cause: CommandKind | MissionEvent, to: MissionState
+) -> MissionTransition:
     return MissionTransition(states if isinstance(states, frozenset) else frozenset({states}), cause, to)
 
 
@@ -123,29 +125,29 @@ _TEST = frozenset({MissionState.TEST_ARMING, MissionState.TESTING, MissionState.
 
 TRANSITIONS: tuple[MissionTransition, ...] = (
     # requests of the operator
-    _row(AT_REST, Order.LOAD, MissionState.LOADING),
-    _row(AT_REST | {MissionState.LOADING}, Order.ARM, MissionState.LOADING),
-    _row(AT_REST | {MissionState.LOADING, MissionState.ARMING}, Order.START, MissionState.LOADING),
-    _row(AT_REST, Order.TEST, MissionState.TEST_ARMING),
-    _row(IN_FLIGHT | JOINING | PLANNING | {MissionState.PAUSED}, Order.HOLD, MissionState.PAUSED),
-    _row(MissionState.PAUSED, Order.RESUME, MissionState.RESUMING),
-    _row(NOMINAL, Order.GO, MissionState.SWITCHING),
-    _row(NOMINAL, Order.FORMATION, MissionState.SWITCHING),
-    _row(MissionState.PAUSED, Order.FORMATION, MissionState.HALTING),
-    _row(MissionState.PAUSED, Order.PATH, MissionState.HALTING),
+    _row(AT_REST, CommandKind.LOAD, MissionState.LOADING),
+    _row(AT_REST | {MissionState.LOADING}, CommandKind.ARM, MissionState.LOADING),
+    _row(AT_REST | {MissionState.LOADING, MissionState.ARMING}, CommandKind.START, MissionState.LOADING),
+    _row(AT_REST, CommandKind.TEST, MissionState.TEST_ARMING),
+    _row(IN_FLIGHT | JOINING | PLANNING | {MissionState.PAUSED}, CommandKind.HOLD, MissionState.PAUSED),
+    _row(MissionState.PAUSED, CommandKind.RESUME, MissionState.RESUMING),
+    _row(NOMINAL, CommandKind.GO, MissionState.SWITCHING),
+    _row(NOMINAL, CommandKind.FORMATION, MissionState.SWITCHING),
+    _row(MissionState.PAUSED, CommandKind.FORMATION, MissionState.HALTING),
+    _row(MissionState.PAUSED, CommandKind.PATH, MissionState.HALTING),
     # at rest: the next start flies it
-    _row(AT_REST, Order.FORMATION, MissionState.WAITING),
-    _row(AT_REST, Order.PATH, MissionState.WAITING),
+    _row(AT_REST, CommandKind.FORMATION, MissionState.WAITING),
+    _row(AT_REST, CommandKind.PATH, MissionState.WAITING),
     _row(
         NOMINAL | AT_REST | {MissionState.SWITCHING, MissionState.PAUSED},
-        Order.RETURN,
+        CommandKind.RETURN,
         MissionState.HALTING,
     ),
-    _row(NOMINAL | {MissionState.PAUSED}, Order.REJOIN, MissionState.HALTING),
-    _row(ANY - {MissionState.STOPPED}, Order.DISARM, MissionState.ENDING),
-    _row(ANY, Order.STOP, MissionState.STOPPED),
+    _row(NOMINAL | {MissionState.PAUSED}, CommandKind.REJOIN, MissionState.HALTING),
+    _row(ANY - {MissionState.STOPPED}, CommandKind.DISARM, MissionState.ENDING),
+    _row(ANY, CommandKind.STOP, MissionState.STOPPED),
     # at rest: a robot was out of reach when the stop was cleared, or was stopped in an earlier station's life
-    _row(AT_REST | {MissionState.STOPPED}, Order.CLEAR_STOP, MissionState.CLEARING),
+    _row(AT_REST | {MissionState.STOPPED}, CommandKind.CLEAR_STOP, MissionState.CLEARING),
     # from the water to the end
     _row(MissionState.WAITING, MissionEvent.PREFLIGHT_PASSED, MissionState.LOADING),
     _row(MissionState.LOADING, MissionEvent.ALL_CONFIRMED, MissionState.ARMING),
@@ -202,24 +204,24 @@ TRANSITIONS: tuple[MissionTransition, ...] = (
 )
 
 
-def next_state(state: MissionState, cause: Order | MissionEvent) -> MissionState | None:
+def next_state(state: MissionState, cause: CommandKind | MissionEvent) -> MissionState | None:
     """State after a cause; None if the table has no transition."""
     return next((row.to for row in TRANSITIONS if row.cause is cause and state in row.states), None)
 
 
-def states_allowing(order: Order) -> frozenset[MissionState]:
+def states_allowing(order: CommandKind) -> frozenset[MissionState]:
     """States in which an operator's request is allowed."""
     return frozenset().union(*(row.states for row in TRANSITIONS if row.cause is order))
 
 
-def order_name(order: Order) -> str:
+def order_name(order: CommandKind) -> str:
     """Name of a request in commands and on the page: CLEAR_STOP is clear-stop."""
     return order.name.lower().replace("_", "-")
 
 
-def order_named(name: str) -> Order:
+def order_named(name: str) -> CommandKind:
     """Request with a name as `order_name` gives it. Raises KeyError."""
-    return Order[name.upper().replace("-", "_")]
+    return CommandKind[name.upper().replace("-", "_")]
 
 
 def request_named(name: str, robot: int = WHOLE_FLEET) -> Command:
@@ -235,9 +237,9 @@ def in_words(outcome: Outcome) -> str:
     return f"{by}: {outcome.reason}" if outcome.reason else by
 
 
-def rejection_reason(order: Order, state: MissionState) -> str:
+def rejection_reason(order: CommandKind, state: MissionState) -> str:
     """Reason for which a request is not allowed in a state; empty if it is."""
-    requests = [row.cause for row in TRANSITIONS if isinstance(row.cause, Order)]
+    requests = [row.cause for row in TRANSITIONS if isinstance(row.cause, CommandKind)]
     if order not in requests:
         return f"{order.name} is not for a whole mission (allowed: {', '.join(o.name for o in requests)})"
     if state in states_allowing(order):
@@ -246,12 +248,20 @@ def rejection_reason(order: Order, state: MissionState) -> str:
     return f"{order.name} is not possible when {state.name} (only when {names})"
 
 
-WATER = (Order.OUT, Order.BACK_IN)  # requests that are always for one robot
-ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO, *WATER)  # requests that may be for one robot alone
-WITH_DETAILS = (Order.GO, Order.FORMATION, Order.PATH)  # requests with places, a form, or an experiment
+WATER = (CommandKind.OUT, CommandKind.BACK_IN)  # requests that are always for one robot
+ONE_ROBOT = (
+    CommandKind.ARM,
+    CommandKind.HOLD,
+    CommandKind.DISARM,
+    CommandKind.GO,
+    *WATER,
+)  # requests that may be for one robot alone
+WITH_DETAILS = (CommandKind.GO, CommandKind.FORMATION, CommandKind.PATH)  # requests with places, a form, or an experiment
 # requests without arguments; END is the station's own
 FLEET_REQUESTS = tuple(
-    order_name(order) for order in Order if order is Order.END or (order not in WITH_DETAILS and states_allowing(order))
+    order_name(order)
+    for order in CommandKind
+    if order is CommandKind.END or (order not in WITH_DETAILS and states_allowing(order))
 )
 
 
@@ -261,7 +271,7 @@ def markdown() -> str:
     lines += ["", "Groups of states in the tables:", ""]
     lines += [f"* *{name}*: {_in_groups(states, name)}" for name, states in GROUPS.items()]
     lines += ["", "| A person requests | in the states | leads to |", "| --- | --- | --- |"]
-    lines += [f"| {row.cause.name} | {_in_groups(row.states)} | {row.to.name} |" for row in _of(Order)]
+    lines += [f"| {row.cause.name} | {_in_groups(row.states)} | {row.to.name} |" for row in _of(CommandKind)]
     lines += ["", "| By itself | changes |", "| --- | --- |"]
     events = _of(MissionEvent)
     for event in dict.fromkeys(row.cause for row in events):
@@ -270,7 +280,7 @@ def markdown() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _of(kind: type[Order] | type[MissionEvent]) -> list[MissionTransition]:
+def _of(kind: type[CommandKind] | type[MissionEvent]) -> list[MissionTransition]:
     return [row for row in TRANSITIONS if isinstance(row.cause, kind)]
 
 

@@ -21,10 +21,12 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
 from shoal.config.experiment import Experiment
-from shoal.messages.messages import Command, DriveVelocity, Mode, Order, Outcome, Progress
+from shoal.messages.messages import Command, CommandKind, DriveVelocity, Mode, Outcome, Progress
 from shoal.messages.topics import WHOLE_FLEET
 
-COURSE = frozenset({Order.STOP, Order.RETURN, Order.START})  # a person's: the first two take an automatic run over
+COURSE = frozenset(
+    {CommandKind.STOP, CommandKind.RETURN, CommandKind.START}
+)  # a person's: the first two take an automatic run over
 
 
 class StationCore:
@@ -65,7 +67,7 @@ class StationCore:
         done."""
         ending = self.requests.ending
         over = self.requests.follow(self.mission, fleet, self.tuner.status(), answers)
-        ends = [outcome.progress for outcome in self.requests.recent if outcome.order is Order.END]
+        ends = [outcome.progress for outcome in self.requests.recent if outcome.order is CommandKind.END]
         self.ended = self.ended or (ending and not self.requests.ending and ends[-1] is Progress.DONE)
         return over
 
@@ -82,7 +84,7 @@ class StationCore:
 
     def request(
         self,
-        order: Order,
+        order: CommandKind,
         fleet: Fleet,
         now_ns: int,
         via: Sequence[tuple[float, float]] = (),
@@ -90,21 +92,23 @@ class StationCore:
         text: str = "",
     ) -> tuple[str, int]:
         """Take a request for the whole fleet, or for the robot `only`; a STOP is for every robot."""
-        only = WHOLE_FLEET if order is Order.STOP else only
+        only = WHOLE_FLEET if order is CommandKind.STOP else only
         if only:
             reason = self.single.request(order, only, fleet, now_ns, via[0] if len(via) == 1 else None)
             return reason, 0 if reason else self._begin_task(only)
-        reason = self._end(fleet, now_ns) if order is Order.END else self.mission.request(order, fleet, now_ns, via, text)
+        reason = (
+            self._end(fleet, now_ns) if order is CommandKind.END else self.mission.request(order, fleet, now_ns, via, text)
+        )
         if not reason and order in COURSE:
-            self.by_hand = order is not Order.START
+            self.by_hand = order is not CommandKind.START
         return reason, 0 if reason else self.requests.begin(order, self.mission)
 
     def come_to_rest(self, fleet: Fleet, now_ns: int) -> bool:
         """Hold every robot that moves, also one that is led alone: the station is about to leave. Returns False once none that
         is heard moves, fast or by itself."""
         self.mission.roster.take_back()
-        if self.mission.state in states_allowing(Order.HOLD) - {MissionState.PAUSED}:
-            self.request(Order.HOLD, fleet, now_ns)
+        if self.mission.state in states_allowing(CommandKind.HOLD) - {MissionState.PAUSED}:
+            self.request(CommandKind.HOLD, fleet, now_ns)
         moving = [view for view in fleet.values() if view.heard and view.mode in LIVE - {Mode.ARMED}]
         return any(view.mode in MOVING or view.speed_mps > AT_REST_MPS for view in moving)
 
@@ -126,11 +130,11 @@ class StationCore:
             reason = self.tuner.undo(formation, now_ns)
         else:
             reason = self.tuner.request(values, next_lap, formation, now_ns, self.mission.flying(formation))
-        return reason, 0 if reason else self.requests.begin(Order.TUNE, self.mission, self.tuner.status().wanted)
+        return reason, 0 if reason else self.requests.begin(CommandKind.TUNE, self.mission, self.tuner.status().wanted)
 
     def _end(self, fleet: Fleet, now_ns: int) -> str:
         """Disarm all robots that may be armed. Returns the reason of a refusal, or nothing."""
         if self.mission.state is MissionState.STOPPED:
             return ""
         rests = self.mission.state in AT_REST and not any(may_have_power(view) for view in fleet.values())
-        return "" if rests else self.mission.request(Order.DISARM, fleet, now_ns)
+        return "" if rests else self.mission.request(CommandKind.DISARM, fleet, now_ns)

@@ -13,7 +13,7 @@ from shoal.bus.bus import Bus, Inbox
 from shoal.config.loader import toml_value
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
-from shoal.messages.messages import Command, Event, Order, Outcome, Pose, RobotState, StationHeartbeat
+from shoal.messages.messages import Command, CommandKind, Event, Outcome, Pose, RobotState, StationHeartbeat
 from shoal.messages.topics import WHOLE_FLEET, Topic
 from shoal.runtime.cli_options import DEFAULT_FLEET
 
@@ -97,11 +97,11 @@ class ConnectedFleet:
 
     def formation(self, form: str, wait_s: float | None = None) -> Outcome:
         """Let the formation take another form, in flight or from a hold: "line 0.8 turn 30 over 20"."""
-        return self._ask("formation", Command(Order.FORMATION, WHOLE_FLEET, text=form), wait_s)
+        return self._ask("formation", Command(CommandKind.FORMATION, WHOLE_FLEET, text=form), wait_s)
 
     def fault(self, what: str, wait_s: float | None = None) -> Outcome:
         """Break something in a simulated run: "thruster 2/3 dead for 5"; "repair" mends what was broken so."""
-        return self._ask("fault", Command(Order.FAULT, WHOLE_FLEET, text=what), wait_s)
+        return self._ask("fault", Command(CommandKind.FAULT, WHOLE_FLEET, text=what), wait_s)
 
     def hold(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
         """Make all robots, or one, hold their places under power. One alone is out of the formation until `rejoin`."""

@@ -35,7 +35,7 @@ from shoal.config.experiment import Experiment, with_flight
 from shoal.config.fault_injection import read_request
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, DriveVelocity, FaultRequest, Order, Reply, StationHeartbeat, Trajectory
+from shoal.messages.messages import Command, CommandKind, DriveVelocity, FaultRequest, Reply, StationHeartbeat, Trajectory
 from shoal.messages.topics import WHOLE_FLEET, Role, process_name
 from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
@@ -43,7 +43,7 @@ from shoal.runtime.version import code
 ORDER_TIMEOUT_S = 0.5
 PATIENT_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
 TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED, MissionState.DEGRADED})
-PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
+PROMPT = frozenset({CommandKind.STOP, CommandKind.DISARM, CommandKind.HOLD})
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
 # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
 COMMAND_KINDS = 5
@@ -62,7 +62,7 @@ class Workers:
     plans: ThreadPoolExecutor  # one thread for each owner of a plan
     closing: threading.Event  # the station ends: no plan is waited for
 
-    def of(self, order: Order) -> ThreadPoolExecutor:
+    def of(self, order: CommandKind) -> ThreadPoolExecutor:
         """Threads that send a command."""
         return self.prompt if order in PROMPT else self.orders
 
@@ -270,18 +270,18 @@ class Station:
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
     def request(
-        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
+        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
     ) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
         of a refusal, or nothing, and the request's number."""
-        if order is Order.FAULT:
+        if order is CommandKind.FAULT:
             return self._fault(text)
         with self.lock:
             reason, number = self.core.request(order, self.views, self.clock.now_ns(), via, only, text)
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
-        detail = f"for robot {only}" if only and order is not Order.STOP else _shown(text)
+        detail = f"for robot {only}" if only and order is not CommandKind.STOP else _shown(text)
         request = f"{order.name} {detail}".strip()
         log.info("%s %s", request, f"refused: {reason}" if reason else "asked for")
         return reason, number
@@ -301,11 +301,11 @@ class Station:
         if not reason:
             self.bus.publish(topics.FAULT, FaultRequest(what, for_s), self.clock.now_ns())
             with self.lock:
-                number = self.requests.note_done(Order.FAULT, self.mission)
+                number = self.requests.note_done(CommandKind.FAULT, self.mission)
         log.info("FAULT %s %s", text, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
-    def draft(self, order: Order, text: str) -> PlanSegment:
+    def draft(self, order: CommandKind, text: str) -> PlanSegment:
         """Plan another form of the formation, or another experiment's path, without flying it. Raises PlanError with the
         reason for which it cannot be."""
         with self.lock:
@@ -314,7 +314,7 @@ class Station:
             make = mission.plans.draft_form(text, self.views, self.clock.now_ns(), mission.state)
         if reason:
             raise PlanError(reason)
-        return first_segment(with_flight(self.experiment, text)) if order is Order.PATH else make()
+        return first_segment(with_flight(self.experiment, text)) if order is CommandKind.PATH else make()
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
@@ -329,7 +329,7 @@ class Station:
     def disarm(self) -> None:
         """Disarm every robot: the station is about to leave. No person has asked for it, so no request is logged."""
         with self.lock:
-            self.core.request(Order.END, self.views, self.clock.now_ns())
+            self.core.request(CommandKind.END, self.views, self.clock.now_ns())
 
     def has_power(self) -> bool:
         """True while a robot that is heard may put out thrust."""

@@ -12,7 +12,7 @@ from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Finding, Fleet
 from groundstation.web.protocol import Edit
 from shoal.config.experiment import Experiment
-from shoal.messages.messages import DriveVelocity, Order, Outcome, Trajectory
+from shoal.messages.messages import CommandKind, DriveVelocity, Outcome, Trajectory
 from shoal.messages.topics import WHOLE_FLEET
 
 
@@ -52,9 +52,9 @@ class OperatorRequests(Protocol):
     request's number."""
 
     def request(
-        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
+        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
     ) -> tuple[str, int]: ...
-    def draft(self, order: Order, text: str) -> PlanSegment:
+    def draft(self, order: CommandKind, text: str) -> PlanSegment:
         """Plan another form, or another experiment's path, without flying it. Raises PlanError."""
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:

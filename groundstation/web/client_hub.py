@@ -24,7 +24,7 @@ from groundstation.web.experiment_editor import attempt, drafted, flight_text, s
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
 from shoal.errors import ConfigError
-from shoal.messages.messages import DriveVelocity, Order
+from shoal.messages.messages import CommandKind, DriveVelocity
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, origin_allowed, token_allowed
 from shoal.system.printable import printable
@@ -355,7 +355,7 @@ class ClientHub:
 
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
         order, number = order_named(request.order), 0
-        if order is Order.STOP:
+        if order is CommandKind.STOP:
             reason, number = await self._at(self._stops, self._source.station.request, order)
         else:
             reason = self._may_command(watcher) or self._void(request.seen_ms)
@@ -363,7 +363,7 @@ class ClientHub:
                 reason, number = await self._at(self._orders, self._order, order, request)
         self._answer(watcher, request.n, request.order, reason, number)
 
-    def _order(self, order: Order, request: protocol.OrderRequest) -> tuple[str, int]:
+    def _order(self, order: CommandKind, request: protocol.OrderRequest) -> tuple[str, int]:
         """Ask it of the station. Returns the reason of a refusal, or nothing, and the request's number."""
         try:
             text = flight_text(self._source.experiment, order, request.text, request.edit)

@@ -20,7 +20,7 @@ from shoal.config.formation_shapes import shape_nodes
 from shoal.config.loader import check, read_toml
 from shoal.config.scene import Waypoints
 from shoal.errors import ConfigError
-from shoal.messages.messages import Order, Trajectory
+from shoal.messages.messages import CommandKind, Trajectory
 from shoal.runtime.output_files import replace_text
 
 EDITED = Path("experiments")  # below where the station was started
@@ -121,12 +121,12 @@ def _experiments_with_robots() -> Iterator[tuple[str, list[Any]]]:
             yield name, [robot.get("id") for robot in robots if isinstance(robot, dict)] if isinstance(robots, list) else []
 
 
-def flight_text(experiment: Experiment, order: Order, text: str, edit: Edit | None = None) -> str:
+def flight_text(experiment: Experiment, order: CommandKind, text: str, edit: Edit | None = None) -> str:
     """The text of a request as the station takes it: of a PATH the experiment, where a page gave an edit, or the name of one
     that is `loadable`. Raises ConfigError."""
-    if order is Order.PATH and edit is not None:
+    if order is CommandKind.PATH and edit is not None:
         return dump_experiment(edited(experiment, edit).model_copy(update={"name": "edited"}))
-    if order is not Order.PATH or "\n" in text or "=" in text:
+    if order is not CommandKind.PATH or "\n" in text or "=" in text:
         return text
     names = [name for name, _ in _experiments_with_robots()]
     if text not in names:

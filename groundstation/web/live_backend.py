@@ -31,7 +31,7 @@ from shoal.bus.bus import Bus, Received
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
-from shoal.messages.messages import Event, Order, Preview, Trajectory
+from shoal.messages.messages import CommandKind, Event, Preview, Trajectory
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Clock, log
 
@@ -131,7 +131,11 @@ class LiveBackend:
                 mission=status.state.name,
                 mission_text=": ".join(filter(None, (READY, status.reason))) if ready else status.state.value,
                 reason=status.reason,
-                allowed=[order_name(order) for order in Order if order is Order.END or status.state in states_allowing(order)],
+                allowed=[
+                    order_name(order)
+                    for order in CommandKind
+                    if order is CommandKind.END or status.state in states_allowing(order)
+                ],
                 preflight=status.preflight,
                 emergency_stop=status.state is MissionState.STOPPED,
                 alarms=alarms(

@@ -30,10 +30,10 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import (
+    CommandKind,
     DriveVelocity,
     Event,
     LocalizerStatus,
-    Order,
     Preview,
     RobotState,
     StationHeartbeat,
@@ -227,11 +227,11 @@ class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
     def request(
-        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
+        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
     ) -> tuple[str, int]:
         return "this is a recorded run", 0
 
-    def draft(self, order: Order, text: str) -> PlanSegment:
+    def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError("this is a recorded run")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:

@@ -10,7 +10,7 @@ from robot_agent.control.any_controller import AnyController
 from shoal.config.controller import ControllerConfig
 from shoal.errors import ConfigError
 from shoal.messages.live_gains import of_message, tuning
-from shoal.messages.messages import Command, Order
+from shoal.messages.messages import Command, CommandKind
 
 Prepared = ControllerConfig | str  # a set that can be flown, or why it cannot; empty: nothing is against it
 
@@ -37,7 +37,7 @@ class LiveTuning:
     def prepare(self, command: Command) -> Prepared:
         """Check the set of a TUNE, or return the reason why it cannot be flown; nothing for another command. It changes
         nothing, so it may run beside a step."""
-        if command.order is not Order.TUNE:
+        if command.order is not CommandKind.TUNE:
             return ""
         if command.tuning is None:
             return "carries no gains"
@@ -48,9 +48,9 @@ class LiveTuning:
 
     def objection(self, command: Command, prepared: Prepared) -> str:
         """Return the reason to refuse a TUNE or ADOPT; empty if there is none."""
-        if command.order is Order.TUNE and isinstance(prepared, str):
+        if command.order is CommandKind.TUNE and isinstance(prepared, str):
             return prepared
-        if command.order is Order.ADOPT and command.tuning_id != self.id:
+        if command.order is CommandKind.ADOPT and command.tuning_id != self.id:
             ready = self._ready[0] if self._ready is not None else "none"
             if command.tuning_id != ready:
                 return f"tuning {command.tuning_id} is not ready (flown: {self.id}, ready: {ready})"
@@ -58,11 +58,11 @@ class LiveTuning:
 
     def apply(self, command: Command, prepared: Prepared, given_ns: int) -> None:
         """Carry out a command without objection, given at `given_ns` on our clock."""
-        if command.order is Order.TUNE and command.tuning is not None and isinstance(prepared, ControllerConfig):
+        if command.order is CommandKind.TUNE and command.tuning is not None and isinstance(prepared, ControllerConfig):
             self._ready = command.tuning.id, prepared
-        elif command.order is Order.ADOPT and command.tuning_id == self.id:
+        elif command.order is CommandKind.ADOPT and command.tuning_id == self.id:
             self._adoption = None
-        elif command.order is Order.ADOPT and self._ready is not None:
+        elif command.order is CommandKind.ADOPT and self._ready is not None:
             at_ns = given_ns + round(command.start_in_s * 1e9)
             self._adoption = Adoption(*self._ready, at_ns, command.trajectory_s)
 

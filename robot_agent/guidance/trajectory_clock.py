@@ -13,11 +13,11 @@ from robot_agent.guidance.trajectory_check import unflyable
 from robot_agent.inputs import StationView
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
-from shoal.messages.messages import ALONE, Command, Order, Trajectory
+from shoal.messages.messages import ALONE, Command, CommandKind, Trajectory
 
 FARTHEST_S = 60.0  # a start may lie ahead, or be over, by this much; the station names one half a second ahead
 FASTER = 0.5  # of the timetable's pace: a reference that has to catch up with what the station says does so by this much more
-BEGINS = frozenset({Order.START, Order.RESUME})
+BEGINS = frozenset({CommandKind.START, CommandKind.RESUME})
 
 
 class TrajectoryClock:
@@ -49,7 +49,7 @@ class TrajectoryClock:
     def flaw(self, command: Command) -> str:
         """Return the reason why a LOAD's trajectory cannot be flown; empty if it can. That takes as long as a control step for
         each quarter of an hour of it, and depends on nothing that a step changes: it may run beside one."""
-        return unflyable(command.trajectory, self._pool, self._vehicle) if command.order is Order.LOAD else ""
+        return unflyable(command.trajectory, self._pool, self._vehicle) if command.order is CommandKind.LOAD else ""
 
     def objection(
         self,
@@ -64,10 +64,10 @@ class TrajectoryClock:
         """Return the reason to refuse a command about trajectories; empty if there is none. START and RESUME take effect at
         `begins_ns` on our clock; `eta` (4,) is the robot's estimate, None without one; `flaw` is the result
         of that method, None if it was not called."""
-        if command.order is Order.LOAD:
+        if command.order is CommandKind.LOAD:
             flaw = self.flaw(command) if flaw is None else flaw
             return flaw or (self._unjoinable(command.trajectory) if under_way else "")
-        if command.order is Order.SWITCH:
+        if command.order is CommandKind.SWITCH:
             if self._next is None or self._next.id != command.trajectory_id:
                 return f"trajectory {command.trajectory_id} is not loaded"
             return self._unjoinable(self._next)
@@ -106,11 +106,11 @@ class TrajectoryClock:
 
     def apply(self, command: Command, under_way: bool, station: StationView, begins_ns: int) -> None:
         """Carry out a command without objection. START and RESUME take effect at `begins_ns` on our clock."""
-        if command.order is Order.LOAD and under_way:
+        if command.order is CommandKind.LOAD and under_way:
             self._next = command.trajectory
-        elif command.order is Order.LOAD and command.trajectory is not None:
+        elif command.order is CommandKind.LOAD and command.trajectory is not None:
             self._take(command.trajectory)
-        if command.order is Order.SWITCH and self.trajectory is not None and self._next is not None:
+        if command.order is CommandKind.SWITCH and self.trajectory is not None and self._next is not None:
             self.trajectory, self._next = splice(self.trajectory, self._next, self.reached_s), None
         if command.order in BEGINS:
             self._earliest_s, self._started_by = command.trajectory_s, station.session

@@ -15,7 +15,7 @@ from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.mavlink.agent_link import Telemetry
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Order, Plan, Pose, Track, Trajectory
+from shoal.messages.messages import Command, CommandKind, Plan, Pose, Track, Trajectory
 
 RADIUS_M, SPEED_MPS, DEPTH_M = 0.5, 0.1, 0.3
 APART_M = 1.2  # between circles' centres: plans are heard, and no robot is in the way
@@ -58,13 +58,13 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
         plans = {other: StampedPlan(_plan(experiment, i - me, steps), now_ns) for i, other in others}
         if k == ARM_AFTER:
             given_ns = now_ns - period_ns  # as the last step ends: what that went by is still fresh
-            for n, order in enumerate((Order.LOAD, Order.ARM, Order.START), 1):
+            for n, order in enumerate((CommandKind.LOAD, CommandKind.ARM, CommandKind.START), 1):
                 command = Command(
                     order,
                     robot,
                     experiment_hash=experiment.hash,
                     trajectory_id=trajectory.id,
-                    trajectory=trajectory if order is Order.LOAD else None,
+                    trajectory=trajectory if order is CommandKind.LOAD else None,
                     start_ns=given_ns + period_ns,
                 )
                 reply = agent.handle_command(

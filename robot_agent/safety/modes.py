@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from shoal.config.controller import Safety
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import CommandKind, Mode
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
 BOARD_DISOBEYS_S = 0.2  # of the last second: an echo or two may be lost; a thruster that runs by itself should not for long
@@ -33,22 +33,22 @@ class ModeTransition:
     to: Mode | None
 
 
-ORDERS: dict[Order, ModeTransition] = {
-    Order.LOAD: ModeTransition(
+ORDERS: dict[CommandKind, ModeTransition] = {
+    CommandKind.LOAD: ModeTransition(
         frozenset({Mode.DISARMED, Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), None
     ),  # TRACKING: for later
-    Order.SWITCH: ModeTransition(frozenset({Mode.TRACKING}), None),
-    Order.TEST: ModeTransition(frozenset({Mode.ARMED}), None),
-    Order.ARM: ModeTransition(frozenset({Mode.DISARMED}), Mode.ARMED),
-    Order.START: ModeTransition(frozenset({Mode.ARMED, Mode.HOLDING}), Mode.TRACKING),
-    Order.HOLD: ModeTransition(LIVE, Mode.HOLDING),
-    Order.RESUME: ModeTransition(frozenset({Mode.HOLDING}), Mode.TRACKING),
-    Order.DRIVE: ModeTransition(frozenset({Mode.HOLDING, Mode.DRIVEN}), Mode.DRIVEN),
-    Order.DISARM: ModeTransition(ANY - {Mode.STOPPED}, Mode.DISARMED),
-    Order.STOP: ModeTransition(ANY, Mode.STOPPED),
-    Order.CLEAR_STOP: ModeTransition(frozenset({Mode.STOPPED}), Mode.DISARMED),
-    Order.TUNE: ModeTransition(ANY - {Mode.STOPPED}, None),
-    Order.ADOPT: ModeTransition(ANY - {Mode.STOPPED}, None),
+    CommandKind.SWITCH: ModeTransition(frozenset({Mode.TRACKING}), None),
+    CommandKind.TEST: ModeTransition(frozenset({Mode.ARMED}), None),
+    CommandKind.ARM: ModeTransition(frozenset({Mode.DISARMED}), Mode.ARMED),
+    CommandKind.START: ModeTransition(frozenset({Mode.ARMED, Mode.HOLDING}), Mode.TRACKING),
+    CommandKind.HOLD: ModeTransition(LIVE, Mode.HOLDING),
+    CommandKind.RESUME: ModeTransition(frozenset({Mode.HOLDING}), Mode.TRACKING),
+    CommandKind.DRIVE: ModeTransition(frozenset({Mode.HOLDING, Mode.DRIVEN}), Mode.DRIVEN),
+    CommandKind.DISARM: ModeTransition(ANY - {Mode.STOPPED}, Mode.DISARMED),
+    CommandKind.STOP: ModeTransition(ANY, Mode.STOPPED),
+    CommandKind.CLEAR_STOP: ModeTransition(frozenset({Mode.STOPPED}), Mode.DISARMED),
+    CommandKind.TUNE: ModeTransition(ANY - {Mode.STOPPED}, None),
+    CommandKind.ADOPT: ModeTransition(ANY - {Mode.STOPPED}, None),
 }
 
 
@@ -158,7 +158,7 @@ def react(mode: Mode, health: Health, safety: Safety) -> tuple[Mode, str]:
     return mode, ""
 
 
-def refusal(order: Order, mode: Mode) -> str:
+def refusal(order: CommandKind, mode: Mode) -> str:
     """Return the reason to refuse `order` in `mode`, with the modes in which it is accepted; empty if it is accepted."""
     if order not in ORDERS:
         return f"{order.name} is no order (allowed: {', '.join(o.name for o in ORDERS)})"
@@ -173,7 +173,7 @@ def table() -> str:
     lines = ["```mermaid", "stateDiagram-v2", "    [*] --> DISARMED"]
     for order, transition in ORDERS.items():
         for mode in Mode:
-            if mode in transition.accepted_in and transition.to not in (None, mode) and order is not Order.STOP:
+            if mode in transition.accepted_in and transition.to not in (None, mode) and order is not CommandKind.STOP:
                 assert transition.to is not None
                 lines.append(f"    {mode.name} --> {transition.to.name}: {order.name}")
     lines += ["```", "", "| Command | accepted when | leads to |", "| --- | --- | --- |"]

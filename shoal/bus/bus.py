@@ -23,7 +23,7 @@ from shoal.bus.transport import Answer, Await, Transport, Unreached
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode, encode
-from shoal.messages.messages import Command, Message, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Message, Reply
 from shoal.messages.topics import Topic
 
 log = logging.getLogger("shoal")
@@ -280,7 +280,7 @@ class Bus:
             except DecodeError as error:
                 self.rejected += 1
                 return encode(Reply(robot, False, str(error)))
-            with contextlib.nullcontext() if command.order is Order.STOP else turn:
+            with contextlib.nullcontext() if command.order is CommandKind.STOP else turn:
                 with deduplicator_lock:
                     reply = deduplicator.known_reply(decoded, command)
                 if reply is None:
@@ -293,7 +293,7 @@ class Bus:
 
         def urgent(payload: bytes) -> bool:
             try:
-                return len(payload) <= STOP_BYTES and decode(Command, payload, "unknown peer", name).order is Order.STOP
+                return len(payload) <= STOP_BYTES and decode(Command, payload, "unknown peer", name).order is CommandKind.STOP
             except DecodeError:
                 return False
 

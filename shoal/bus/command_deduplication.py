@@ -13,9 +13,9 @@ from collections import OrderedDict
 from dataclasses import replace
 
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Reply
 
-ALWAYS_TAKEN = frozenset({Order.STOP, Order.DISARM})  # they only take power away
+ALWAYS_TAKEN = frozenset({CommandKind.STOP, CommandKind.DISARM})  # they only take power away
 SENDERS = 4096  # remembered; each station's life and each terminal's order is one
 
 

@@ -113,7 +113,7 @@ class Solve(IntEnum):
     FAILED = 3  # No plan was left, so the thrusters went to neutral.
 
 
-class Order(IntEnum):
+class CommandKind(IntEnum):
     """Commands from the station to one robot."""
 
     NONE = 0
@@ -417,7 +417,7 @@ class Command:
     """A command to one robot, or a request to the station (robot 0). It is applied at most once, by the process that it
     names, while the header's session is the station's and the command is younger than its time to live."""
 
-    order: Annotated[Order, 1]
+    order: Annotated[CommandKind, 1]
     robot: Annotated[Uint32, 2]
     time_to_live_s: Annotated[float, 3] = 1.0
     experiment_hash: Annotated[str, 4] = ""
@@ -440,7 +440,7 @@ class Outcome:
     """The outcome of an operator's request so far, as the station sees it (groundstation/mission/request_progress.py)."""
 
     request: Annotated[Uint32, 1]  # Number of the request since the station's start, from 1.
-    order: Annotated[Order, 2] = Order.NONE
+    order: Annotated[CommandKind, 2] = CommandKind.NONE
     progress: Annotated[Progress, 3] = Progress.UNDER_WAY
     reason: Annotated[str, 4] = ""  # Reason of the failure, or the result.
     mission: Annotated[str, 5] = ""  # State of the mission.

@@ -27,7 +27,7 @@ from shoal.frames import Array, pose_error
 from shoal.mavlink.agent_link import Telemetry
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Event, Message, Order, Pose, Reply, RobotState, Trajectory, Truth
+from shoal.messages.messages import Command, CommandKind, Event, Message, Pose, Reply, RobotState, Trajectory, Truth
 from shoal.messages.topics import Topic
 from sim_bridge.fault_schedule import FaultSchedule
 from sim_bridge.node.ideal_localizer import IdealLocalizer
@@ -202,7 +202,7 @@ class AgentFleet:
         """Time along the trajectories since `start`."""
         return (self.now_ns - self._start_ns) / NS
 
-    def order(self, order: Order, i: int, start_in_s: float = 0.0, trajectory_s: float = 0.0) -> Reply:
+    def order(self, order: CommandKind, i: int, start_in_s: float = 0.0, trajectory_s: float = 0.0) -> Reply:
         """Give the i-th robot a command as the station would."""
         self._orders += 1
         robot = self.experiment.robot_ids[i]
@@ -212,7 +212,7 @@ class AgentFleet:
             experiment_hash=self.experiment.hash,
             trajectory_id=self.trajectories[robot].id,
             trajectory_s=trajectory_s,
-            trajectory=self.trajectories[robot] if order is Order.LOAD else None,
+            trajectory=self.trajectories[robot] if order is CommandKind.LOAD else None,
             start_ns=self.now_ns + round(start_in_s * NS),
         )
         return self.robots[i].agent.handle_command(
@@ -225,15 +225,15 @@ class AgentFleet:
         self.held = True
         for _ in range(max(READY_NS // self.period_ns - 1, 1)):
             self.step()
-        for order in (Order.LOAD, Order.ARM):
+        for order in (CommandKind.LOAD, CommandKind.ARM):
             self._all(order)
         self.step()  # the boards arm meanwhile
-        self._all(Order.START)
+        self._all(CommandKind.START)
         self._start_ns = self.now_ns + self.period_ns
         self.step()
         self.held, self.begin = False, len(self.truth)
 
-    def _all(self, order: Order) -> None:
+    def _all(self, order: CommandKind) -> None:
         """Give a command to every robot; START is for the next step. Raises ConfigError if one refuses."""
         for i in range(len(self.robots)):
             reply = self.order(order, i, start_in_s=self.period_ns / NS)

@@ -15,7 +15,7 @@ from benchmarks.robots.report import GridRun
 from groundstation.planning import planner
 from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode, Order, required
+from shoal.messages.messages import CommandKind, Mode, required
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from tests.flights.cells import CELLS, draw
 from tests.flights.claims import GROUPS, ObserverClaim, nees
@@ -45,7 +45,7 @@ def test_figures_are_those_of_the_plant_on_a_circle() -> None:
         fleet.step()
         places.append(water.eta[0, :3].copy())
     flown = len(places)
-    fleet.order(Order.HOLD, 0)
+    fleet.order(CommandKind.HOLD, 0)
     while fleet.time_s < CELLS["ordinary"].path_s + HOLD_S - 1e-9:
         fleet.step()
         places.append(water.eta[0, :3].copy())

@@ -17,7 +17,7 @@ from robot_agent.inputs import StationView
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Reply
 from sim_bridge.in_process.fleet import STATION_SESSION
 from tests.closed_loop.dry_pool import DryPool
 
@@ -80,7 +80,7 @@ class CrewedPool(DryPool):
                 return
         raise AssertionError(f"still {self.mission.state.name}: {self.mission.reason}; came by {self.phases}")
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
+    def request(self, order: CommandKind, via: Sequence[tuple[float, float]] = ()) -> str:
         return self.mission.request(order, self.fleet(), self.now_ns, via)
 
     def restart(self, i: int) -> None:

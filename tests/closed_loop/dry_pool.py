@@ -15,7 +15,7 @@ from shoal.config.experiment import Experiment
 from shoal.config.simulation import Numeric
 from shoal.frames import Array
 from shoal.mavlink.agent_link import AgentLink, Telemetry
-from shoal.messages.messages import Order
+from shoal.messages.messages import CommandKind
 from sim_bridge.in_process.fleet import STATION_SESSION, AgentFleet
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World, WorldBoard
@@ -84,7 +84,7 @@ class DryPool(AgentFleet):
     def take_off(self, start_in_s: float = 0.2) -> None:
         """Load, arm and start every robot; an order that is refused is a failed test."""
         self.run(0.5)
-        for order in (Order.LOAD, Order.ARM, Order.START):
+        for order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START):
             for robot in range(len(self.robots)):
                 reply = self.order(order, robot, start_in_s=start_in_s)
                 assert reply.accepted, f"{order.name}: {reply.reason}"

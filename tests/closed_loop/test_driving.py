@@ -10,7 +10,7 @@ from robot_agent.safety.modes import DRIVE_LASTS_S
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, DriveVelocity, Mode, Order, Reply
+from shoal.messages.messages import Command, CommandKind, DriveVelocity, Mode, Reply
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 
 pytestmark = pytest.mark.long
@@ -31,17 +31,17 @@ class DrivenFleet:
         for _ in range(20):
             self.fleet.step()
         for i in range(len(starts)):
-            assert self.fleet.order(Order.ARM, i).accepted
+            assert self.fleet.order(CommandKind.ARM, i).accepted
         self.fleet.step()
         for i in range(len(starts)):
-            assert self.fleet.order(Order.HOLD, i).accepted
+            assert self.fleet.order(CommandKind.HOLD, i).accepted
         self.fleet.step()
         self.fleet.held = False
 
     def drive(self, velocity: DriveVelocity | None, i: int = 0, age_s: float = 0.0, number: int = 9) -> Reply:
         """Reply to a DRIVE that was given `age_s` ago."""
         robot, now_ns = POOL.robot_ids[i], self.fleet.now_ns
-        command = Command(Order.DRIVE, robot, experiment_hash=self.fleet.experiment.hash, drive=velocity)
+        command = Command(CommandKind.DRIVE, robot, experiment_hash=self.fleet.experiment.hash, drive=velocity)
         header = Header(self.fleet.station().session, number, now_ns - round(age_s * 1e9))
         return self.fleet.robots[i].agent.handle_command(header, command, self.fleet.station(), now_ns)
 
@@ -101,13 +101,13 @@ def test_late_older_and_impossible_drives_are_refused(alone: DrivenFleet) -> Non
     assert alone.drive(FAST, age_s=0.1).accepted  # the same again lasts no longer
     alone.fly(DRIVE_LASTS_S)
     assert alone.mode() is Mode.HOLDING
-    assert alone.fleet.order(Order.DISARM, 0).accepted
+    assert alone.fleet.order(CommandKind.DISARM, 0).accepted
     assert "DRIVE is not accepted when DISARMED" in alone.drive(FAST).reason
 
 
 def test_stop_ends_a_drive_at_once_and_stays(alone: DrivenFleet) -> None:
     alone.fly(1.0, first(FAST))
-    assert alone.fleet.order(Order.STOP, 0).accepted
+    assert alone.fleet.order(CommandKind.STOP, 0).accepted
     alone.fleet.step()
     assert alone.fleet.robots[0].states[-1].pulse_us == alone.fleet.robots[0].agent.neutral_us
     assert "not accepted when STOPPED" in alone.drive(FAST).reason

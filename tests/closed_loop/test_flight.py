@@ -8,7 +8,7 @@ import pytest
 
 from robot_agent.inputs import StampedPose
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode, Order, required
+from shoal.messages.messages import CommandKind, Mode, required
 from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.closed_loop.dry_pool import DryPool
 
@@ -114,12 +114,12 @@ def test_a_board_that_missed_the_first_request_to_arm_arms_at_a_later_one() -> N
 def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
     pool = DryPool(load_experiment("pool"))
     pool.run(0.5)
-    assert pool.order(Order.ARM, 0).accepted
+    assert pool.order(CommandKind.ARM, 0).accepted
     pool.run(0.5)
     pool.camera_works = False
     pool.run(1.5)
     pool.camera_works = True
-    assert pool.order(Order.HOLD, 0).accepted
+    assert pool.order(CommandKind.HOLD, 0).accepted
     pool.expose(pool.now_ns)
     there = pool.truth[-1][0]
     pool.run(3.0)
@@ -165,14 +165,14 @@ def test_a_robot_that_was_off_its_path_flies_again_when_it_is_told_to() -> None:
     pool.run(10.5)
     assert agent.mode is Mode.FAULT and states[-1].fault.startswith("off its path: it does not move")
     reached_s = states[-1].trajectory_s
-    assert pool.order(Order.DISARM, 0).accepted
+    assert pool.order(CommandKind.DISARM, 0).accepted
     pool.run(0.2)
     assert not required(states[-1].board).armed
-    for order in (Order.LOAD, Order.ARM, Order.HOLD):
+    for order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.HOLD):
         reply = pool.order(order, 0)
         assert reply.accepted, reply.reason
     pool.run(0.3)
-    assert pool.order(Order.START, 0, start_in_s=0.2, trajectory_s=reached_s).accepted
+    assert pool.order(CommandKind.START, 0, start_in_s=0.2, trajectory_s=reached_s).accepted
     pool.run(1.0)
     assert (agent.mode, states[-1].fault, required(states[-1].board).armed) == (Mode.TRACKING, "", True)
     assert required(states[-1].control).wrench.any()
@@ -199,10 +199,10 @@ def test_a_stop_right_after_an_arm_disarms_the_board_at_the_next_step() -> None:
     """Though the rate of requests is limited, and the board has not said yet that it is armed."""
     pool = DryPool(load_experiment("pool"))
     pool.run(1.0)
-    assert pool.order(Order.ARM, 0).accepted
+    assert pool.order(CommandKind.ARM, 0).accepted
     pool.run(0.05)
     assert pool.world.boards[0].armed
-    assert pool.order(Order.STOP, 0).accepted
+    assert pool.order(CommandKind.STOP, 0).accepted
     pool.run(0.05)
     assert not pool.world.boards[0].armed
 
@@ -251,7 +251,7 @@ def test_a_trajectory_that_leaves_the_pool_is_not_loaded() -> None:
     eta[-1, :3] = [1.76, 0.0, 0.3]
     eta[:-1] = eta[-1]
     pool.trajectories = {**pool.trajectories, 1: replace(good, eta=eta)}
-    reply = pool.order(Order.LOAD, 0)
+    reply = pool.order(CommandKind.LOAD, 0)
     assert (reply.accepted, reply.reason) == (False, "trajectory.eta leaves the pool at 0.00 s")
 
 
@@ -275,20 +275,20 @@ def test_a_robot_that_never_heard_a_station_cannot_arm() -> None:
     pool = DryPool(load_experiment("pool"))
     pool.station_works = False
     pool.run(1.0)
-    assert not pool.order(Order.ARM, 0).accepted
+    assert not pool.order(CommandKind.ARM, 0).accepted
 
 
 def test_a_formation_that_held_goes_on_where_it_was() -> None:
     pool = flying(4.0)
     reached = pool.robots[0].states[-1].trajectory_s
     for robot in range(2):
-        assert pool.order(Order.HOLD, robot).accepted
+        assert pool.order(CommandKind.HOLD, robot).accepted
     pool.run(4.0)
     assert pool.robots[0].states[-1].trajectory_s == pytest.approx(reached, abs=0.051)
     held = np.array(pool.truth[-80:])[:, :, :2]
     assert np.ptp(held, axis=0).max() < 0.10
     for robot in range(2):
-        assert pool.order(Order.RESUME, robot, start_in_s=0.3, trajectory_s=reached).accepted
+        assert pool.order(CommandKind.RESUME, robot, start_in_s=0.3, trajectory_s=reached).accepted
     pool.run(2.3)
     assert [r.agent.mode for r in pool.robots] == [Mode.TRACKING] * 2
     times = [r.states[-1].trajectory_s for r in pool.robots]

@@ -7,7 +7,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.mission.timetable import START_IN_S
 from groundstation.planning.segment import sample
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode, Order, required
+from shoal.messages.messages import CommandKind, Mode, required
 from sim_bridge.fault_schedule import ActuatorFaults
 from tests.closed_loop.crewed_pool import CrewedPool
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.long
 def flying(scene: str, *settings: str) -> CrewedPool:
     pool = CrewedPool(load_experiment(scene, settings))
     pool.run(0.5)
-    assert pool.request(Order.START) == ""
+    assert pool.request(CommandKind.START) == ""
     pool.until(MissionState.RUNNING, within_s=4.0)
     return pool
 
@@ -26,7 +26,7 @@ def test_everybody_comes_home_and_disarms() -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(15.0)
     begin = len(pool.truth)
-    assert pool.request(Order.RETURN) == ""
+    assert pool.request(CommandKind.RETURN) == ""
     pool.until(MissionState.DONE, MissionState.FAILED, within_s=60.0)
     assert pool.mission.state is MissionState.DONE
     assert MissionState.RETURNING in pool.phases
@@ -42,28 +42,28 @@ def test_everybody_comes_home_and_disarms() -> None:
 def test_stopped_robot_comes_home_later() -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(8.0)
-    assert pool.request(Order.DISARM) == ""
+    assert pool.request(CommandKind.DISARM) == ""
     pool.until(MissionState.CANCELLED, within_s=3.0)
     assert pool.mission.reason == "a person asked for DISARM when RUNNING"
     pool.run(2.0)
-    assert pool.request(Order.RETURN) == ""
+    assert pool.request(CommandKind.RETURN) == ""
     pool.until(MissionState.RETURNING, within_s=5.0)
     pool.until(MissionState.DONE, within_s=60.0)
     for i, start in enumerate(pool.starts.values()):
         assert np.hypot(*(pool.truth[-1][i][:2] - start[:2])) < 0.1
 
 
-@pytest.mark.parametrize("order", [pytest.param(Order.HOLD, marks=pytest.mark.slow), Order.STOP])
-def test_on_the_way_home_one_can_hold_and_stop(order: Order) -> None:
+@pytest.mark.parametrize("order", [pytest.param(CommandKind.HOLD, marks=pytest.mark.slow), CommandKind.STOP])
+def test_on_the_way_home_one_can_hold_and_stop(order: CommandKind) -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(10.0)
-    pool.request(Order.RETURN)
+    pool.request(CommandKind.RETURN)
     pool.until(MissionState.RETURNING, within_s=15.0)
     assert pool.request(order) == ""
     pool.run(2.0)
-    assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING if order is Order.HOLD else Mode.STOPPED}
-    if order is Order.HOLD:
-        assert pool.request(Order.RESUME) == ""
+    assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING if order is CommandKind.HOLD else Mode.STOPPED}
+    if order is CommandKind.HOLD:
+        assert pool.request(CommandKind.RESUME) == ""
         pool.until(MissionState.DONE, within_s=60.0)
 
 
@@ -71,10 +71,12 @@ def test_a_start_that_one_robot_takes_late_keeps_it_in_step() -> None:
     """Half a second after the first order all set off; robot 2 gets its own 1.2 s after that order."""
     pool = CrewedPool(load_experiment("figure-eight"))
     pool.run(0.5)
-    assert pool.request(Order.START) == ""
+    assert pool.request(CommandKind.START) == ""
     pool.until(MissionState.STARTING, within_s=3.0)
     first_ns = pool.now_ns
-    pool.loses = lambda command: command.robot == 2 and command.order is Order.START and pool.now_ns < first_ns + 1_200_000_000
+    pool.loses = lambda command: (
+        command.robot == 2 and command.order is CommandKind.START and pool.now_ns < first_ns + 1_200_000_000
+    )
     pool.until(MissionState.RUNNING, within_s=3.0)
     assert pool.now_ns >= first_ns + 1_200_000_000
     pool.run(2.0)
@@ -101,13 +103,13 @@ def test_a_robot_whose_clock_leaps_makes_all_hold_and_they_go_on_in_step() -> No
 def test_when_one_robot_misses_a_switch_all_get_one_new_plan_before_they_go_on() -> None:
     pool = flying("blocked-path", "sim.drifters=[]")
     pool.run(4.0)
-    pool.loses = lambda command: command.robot == 2 and command.order is Order.SWITCH
-    assert pool.request(Order.GO, [(-2.0, 1.0)]) == ""
+    pool.loses = lambda command: command.robot == 2 and command.order is CommandKind.SWITCH
+    assert pool.request(CommandKind.GO, [(-2.0, 1.0)]) == ""
     pool.until(MissionState.PAUSED, within_s=4.0)
     assert "robot 2 has not gone over in time" in pool.mission.reason
     pool.run(1.0)
     assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING}
-    assert pool.request(Order.RESUME) == ""
+    assert pool.request(CommandKind.RESUME) == ""
     assert "has another plan" in pool.mission.reason
     while pool.mission.state is not MissionState.RUNNING:
         pool.run(0.05)
@@ -124,7 +126,7 @@ def test_when_one_robot_misses_a_switch_all_get_one_new_plan_before_they_go_on()
 def test_obstacle_on_a_robots_way_home_is_passed_around() -> None:
     pool = flying("blocked-path", "sim.drifters=[]")
     pool.run(10.0)
-    assert pool.request(Order.RETURN) == ""
+    assert pool.request(CommandKind.RETURN) == ""
     pool.until(MissionState.RETURNING, within_s=15.0)
     home = pool.mission.segment
     half_way = home.trajectories[1].eta[len(home.trajectories[1].eta) // 2, :2]
@@ -196,8 +198,8 @@ def test_a_person_sends_the_formation_elsewhere_under_way() -> None:
     pool = flying("blocked-path", "sim.drifters=[]")
     pool.run(4.0)
     begin = len(pool.references) - 20
-    assert "where to?" in pool.request(Order.GO)
-    assert pool.request(Order.GO, [(-2.0, 1.0)]) == ""
+    assert "where to?" in pool.request(CommandKind.GO)
+    assert pool.request(CommandKind.GO, [(-2.0, 1.0)]) == ""
     pool.until(MissionState.RUNNING, within_s=4.0)
     pool.run(8.0)
     assert max(jumps(pool, begin, len(pool.references))[:2]) < 1e-4
@@ -274,7 +276,7 @@ def test_those_who_held_for_a_lost_robot_go_on_past_it_when_asked() -> None:
     pool.until(MissionState.PAUSED, within_s=5.0)
     pool.run(8.0)
     begin = len(pool.truth)
-    assert pool.request(Order.RESUME) == ""
+    assert pool.request(CommandKind.RESUME) == ""
     pool.until(MissionState.DEGRADED, within_s=15.0)
     assert MissionState.RELOADING in pool.phases  # straight back to the plan, and they would have been beside it
     pool.run(12.0)
@@ -301,12 +303,12 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
     lose(pool, 1)
     pool.until(MissionState.DEGRADED, within_s=40.0)
     pool.run(5.0)
-    assert "robot 2: not heard" in pool.request(Order.REJOIN)
+    assert "robot 2: not heard" in pool.request(CommandKind.REJOIN)
     pool.restart(1)
     pool.run(1.0)
     assert pool.robots[1].states[-1].mode is Mode.DISARMED  # nothing arms it but a person's order
     begin = len(pool.truth)
-    assert pool.request(Order.REJOIN) == ""
+    assert pool.request(CommandKind.REJOIN) == ""
     pool.until(MissionState.RELEASING, within_s=15.0)
     pool.until(MissionState.RUNNING, within_s=3.0)
     while pool.mission.plans.progress_s < pool.mission.segment.transfer_end_s + 5.0:
@@ -325,13 +327,13 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
 def test_thrusters_are_tested_on_request_and_a_test_may_be_made_a_condition() -> None:
     pool = CrewedPool(load_experiment("pool", ["mission.thruster_test=true", "duration_s=20"]))
     pool.run(0.5)
-    assert "robot 1: thruster test: not done (groundstation mission test)" in pool.request(Order.START)
-    assert pool.request(Order.TEST) == ""
+    assert "robot 1: thruster test: not done (groundstation mission test)" in pool.request(CommandKind.START)
+    assert pool.request(CommandKind.TEST) == ""
     pool.until(MissionState.TESTING, within_s=3.0)
     begin = len(pool.pulses)
     pool.until(MissionState.WAITING, within_s=10.0)
     moved = np.array(pool.pulses[begin:])[:, :, :4] != 1500
     assert np.all(moved.any(axis=0)) and moved.sum(axis=2).max() == 1  # every thruster of every robot, one at a time
     assert {robot.states[-1].mode for robot in pool.robots} == {Mode.DISARMED}
-    assert pool.request(Order.START) == ""
+    assert pool.request(CommandKind.START) == ""
     pool.until(MissionState.RUNNING, within_s=4.0)

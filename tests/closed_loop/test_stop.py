@@ -27,7 +27,7 @@ from shoal.bus.network import endpoint
 from shoal.bus.zenoh_transport import MOST_LINKS_OF_ONE, ZenohTransport
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Mode, Order, Reply, RobotState
+from shoal.messages.messages import Command, CommandKind, Mode, Reply, RobotState
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.gate.strangers import Sessions, Strangers
 from tests.waiting import eventually, wait_for_line
@@ -59,7 +59,7 @@ class Robot:
         self._thread.start()
 
     def _obey(self, header: Header, command: Command) -> Reply:
-        if command.order is Order.STOP:
+        if command.order is CommandKind.STOP:
             self._mode = Mode.STOPPED
         return Reply(self._number, True)
 

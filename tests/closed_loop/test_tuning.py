@@ -15,7 +15,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
 from shoal.messages.codec import Header
 from shoal.messages.live_gains import tunable_parameters, tuning
-from shoal.messages.messages import Command, Mode, Order, Reply, RobotState, required
+from shoal.messages.messages import Command, CommandKind, Mode, Reply, RobotState, required
 from tests.closed_loop.dry_pool import DryPool
 
 pytestmark = pytest.mark.long
@@ -87,9 +87,9 @@ class TuningLab:
         return self.pool.robots[robot].states
 
     def take_off(self) -> None:
-        for order in (Order.LOAD, Order.ARM, Order.START):
+        for order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START):
             for robot, trajectory in self.pool.trajectories.items():
-                loaded = trajectory if order is Order.LOAD else None
+                loaded = trajectory if order is CommandKind.LOAD else None
                 reply = self.send(
                     Command(
                         order,
@@ -250,7 +250,7 @@ def waiting_for_a_lap() -> TuningLab:
 def test_leaving_the_run_drops_gains_that_wait_for_a_lap() -> None:
     lab = waiting_for_a_lap()
     for robot in (1, 2):
-        assert lab.send(Command(Order.DISARM, robot)).accepted
+        assert lab.send(Command(CommandKind.DISARM, robot)).accepted
     lab.run(2.0)
     assert "left the run before the lap began" in lab.tuner.status().reason
     lab.take_off()
@@ -261,7 +261,7 @@ def test_leaving_the_run_drops_gains_that_wait_for_a_lap() -> None:
 def test_the_remaining_robots_drop_gains_that_wait_for_a_lap() -> None:
     """All robots together, or none: it had accepted the set, and would have changed alone."""
     lab = waiting_for_a_lap()
-    assert lab.send(Command(Order.DISARM, 2)).accepted
+    assert lab.send(Command(CommandKind.DISARM, 2)).accepted
     lab.run(24.0)
     assert lab.states()[-1].mode is Mode.TRACKING and lab.states()[-1].trajectory_s > 26.0
     assert {state.tuning_id for state in lab.states()} == {tuning(pool().controller).id}

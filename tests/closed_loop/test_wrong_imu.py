@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 from shoal.config.experiment import Experiment, load_experiment
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import CommandKind, Mode
 from sim_bridge.fault_schedule import ImuFaults
 from sim_bridge.node.hil_board import HilBoard
 from sim_bridge.thruster_board.board import ThrusterBoard
@@ -77,6 +77,6 @@ def test_a_robot_whose_imu_is_mounted_otherwise_does_not_arm() -> None:
     pool = DryPool(load_experiment("pool", ["duration_s=20"]))
     pool.world.boards[0].sensors.faults = ImuFaults(turned_rad=1.57)
     pool.run(2.0)
-    assert pool.order(Order.LOAD, 0, start_in_s=0.2).accepted
-    reply = pool.order(Order.ARM, 0, start_in_s=0.2)
+    assert pool.order(CommandKind.LOAD, 0, start_in_s=0.2).accepted
+    reply = pool.order(CommandKind.ARM, 0, start_in_s=0.2)
     assert not reply.accepted and reply.reason.startswith(f"{ACCELEROMETER}off gravity by ")

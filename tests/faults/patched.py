@@ -20,12 +20,12 @@ from typing import Any
 
 from robot_agent.control.nonlinear.planner import Planner
 from shoal.bus.bus import Bus
-from shoal.messages.messages import Command, Order
+from shoal.messages.messages import Command, CommandKind
 from sim_bridge.sil import clock_shim
 
 SLOW_S, FOR_EVER_S = 0.03, 1e6
 START_LATE, SWITCH_LOST = signal.SIGRTMIN, signal.SIGRTMIN + 1
-LOST = {START_LATE: (Order.START, 1.2), SWITCH_LOST: (Order.SWITCH, FOR_EVER_S)}  # s, from the first try on
+LOST = {START_LATE: (CommandKind.START, 1.2), SWITCH_LOST: (CommandKind.SWITCH, FOR_EVER_S)}  # s, from the first try on
 DEAF_ROBOT = 2
 THREADS = ("previews", "recorder", "gatherer")
 END_THREAD = {name: signal.SIGRTMIN + 2 + i for i, name in enumerate(THREADS)}
@@ -48,7 +48,7 @@ class Flaws:
     def __init__(self) -> None:
         self.delay_s = 0.0
         self.unsolved = False
-        self.lost: tuple[Order, float] | None = None  # which order does not get through, and for how long, s
+        self.lost: tuple[CommandKind, float] | None = None  # which order does not get through, and for how long, s
         self.first_try_s: float | None = None
 
     def on_signal(self, number: int, frame: FrameType | None) -> None:

@@ -31,21 +31,31 @@ from groundstation.mission.state_machine import (
     rejection_reason,
 )
 from shoal.bus.bus import Bus
-from shoal.messages.messages import Command, Order, Outcome, Progress
+from shoal.messages.messages import Command, CommandKind, Outcome, Progress
 from tests.faults.onlooker import Stuck
 
 ANSWER_WITHIN_S = 30.0  # a busy machine's station answers late; no answer at all is a defect
 HEAD = struct.Struct("<If")
 PEOPLE = ("page A", "page B", "terminal", "script")
 FLEET_ORDERS = (
-    Order.START, Order.START, Order.HOLD, Order.RESUME, Order.RETURN, Order.REJOIN, Order.STOP, Order.CLEAR_STOP,
-    Order.DISARM, Order.LOAD, Order.ARM, Order.TEST,
-)  # fmt: skip
-ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO, Order.GO)
+    CommandKind.START,
+    CommandKind.START,
+    CommandKind.HOLD,
+    CommandKind.RESUME,
+    CommandKind.RETURN,
+    CommandKind.REJOIN,
+    CommandKind.STOP,
+    CommandKind.CLEAR_STOP,
+    CommandKind.DISARM,
+    CommandKind.LOAD,
+    CommandKind.ARM,
+    CommandKind.TEST,
+)
+ONE_ROBOT = (CommandKind.ARM, CommandKind.HOLD, CommandKind.DISARM, CommandKind.GO, CommandKind.GO)
 MISHAPS = ("killed", "stopped", "cut", "deaf", "mute")
 LASTS_S = 28.0  # of the requests, after the start of the first flight
 AS_SHOWN = 0.5  # share of the requests that are possible when they are made
-ENDS = frozenset({Order.STOP, Order.DISARM, Order.END})  # always possible, and soon all that ever happened
+ENDS = frozenset({CommandKind.STOP, CommandKind.DISARM, CommandKind.END})  # always possible, and soon all that ever happened
 GAIN = "controller.nmpc.turning_m"
 
 
@@ -69,7 +79,7 @@ class ScriptLine:
 def plan(seed: int, robots: tuple[int, ...]) -> list[ScriptLine]:
     """A random script, in the order of time; the script's START is its first line."""
     random = np.random.default_rng(seed)
-    steps = [ScriptLine(0.0, "script", "start", Command(Order.START, 0))]
+    steps = [ScriptLine(0.0, "script", "start", Command(CommandKind.START, 0))]
     for who in PEOPLE:
         for at_s in random.uniform(3.0, LASTS_S, 6):
             if random.random() < AS_SHOWN:
@@ -93,7 +103,7 @@ def _command(random: np.random.Generator, robots: tuple[int, ...]) -> Command:
     if kind < 0.5:
         order = ONE_ROBOT[int(random.integers(len(ONE_ROBOT)))]
         place = (round(float(random.uniform(-2.5, 2.5)), 2), round(float(random.uniform(-1.6, 1.6)), 2))
-        return client.go_command([place], robot) if order is Order.GO else Command(order, robot)
+        return client.go_command([place], robot) if order is CommandKind.GO else Command(order, robot)
     return Command(FLEET_ORDERS[int(random.integers(len(FLEET_ORDERS)))], 0)
 
 
@@ -171,16 +181,16 @@ class ShoalScript:
 
     def _ask(self, command: Command) -> Outcome:
         name, fleet = order_name(command.order), self._fleet
-        if command.order is Order.TUNE and command.tuning is not None:
+        if command.order is CommandKind.TUNE and command.tuning is not None:
             return fleet.set_gains({GAIN: float(command.tuning.values[0])}, wait_s=0.0)
-        if command.order is Order.GO:
+        if command.order is CommandKind.GO:
             x_m, y_m = command.via[0].tolist()
             return fleet.go((x_m, y_m), wait_s=0.0, robot=command.robot)
         if command.robot:
             method: Callable[..., Outcome] = getattr(fleet, name)
             return method(wait_s=0.0, robot=command.robot)
         method = getattr(fleet, {"return": "return_to_start", "test": "test_thrusters"}.get(name, name.replace("-", "_")))
-        return method(wait_s=None if command.order is Order.STOP else 0.0)  # a STOP is asked for until it is answered
+        return method(wait_s=None if command.order is CommandKind.STOP else 0.0)  # a STOP is asked for until it is answered
 
 
 class Page:
@@ -216,7 +226,7 @@ class Page:
             self._count += 1
             n, seen_ms = self._count, self._clock_ms
         self._say(kind="take", over=True)
-        if command.order is Order.TUNE and command.tuning is not None:
+        if command.order is CommandKind.TUNE and command.tuning is not None:
             values = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=True))
             self._say(kind="tune", n=n, values=values, seen_ms=seen_ms)
         else:
@@ -276,7 +286,9 @@ class Crowd:
         """The k-th request of the whole fleet that is possible now."""
         state = MissionState[self.mission()]
         orders = [order_named(name) for name in FLEET_REQUESTS]
-        possible = [order for order in orders if order not in ENDS and not rejection_reason(order, state)] or [Order.HOLD]
+        possible = [order for order in orders if order not in ENDS and not rejection_reason(order, state)] or [
+            CommandKind.HOLD
+        ]
         return Command(possible[k % len(possible)], 0)
 
     def _look_up(self) -> None:
@@ -288,7 +300,7 @@ class Crowd:
         for request in list(self.requests):
             if request.over or request.answer is None:
                 continue
-            reply = self.bus.command(Command(Order.NONE, 0, about=request.answer.number), time.time_ns(), 5.0, to=0)
+            reply = self.bus.command(Command(CommandKind.NONE, 0, about=request.answer.number), time.time_ns(), 5.0, to=0)
             if reply.outcome is not None:
                 request.outcome, request.over_ns = reply.outcome, time.monotonic_ns()
             elif not reply.silent:

@@ -19,7 +19,7 @@ from shoal.bus.endpoint import Endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import Command, Mode, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Mode, Reply
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Child, Children
 from tests.faults.onlooker import PATIENCE_S, Onlooker, Stuck
@@ -157,7 +157,7 @@ class Rig(Onlooker):
 
     # --- flying
 
-    def order(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> Reply:
+    def order(self, order: CommandKind, via: Sequence[tuple[float, float]] = ()) -> Reply:
         """A person's order for the whole fleet; `via`: where GO leads it, x and y in m."""
         return self.bus.command(Command(order, robot=0, via=np.array(via).reshape(-1, 2)), time.time_ns(), ANSWERED_S)
 
@@ -165,13 +165,13 @@ class Rig(Onlooker):
         """From anywhere to all robots tracking, thrusters running."""
         deadline = time.monotonic() + (PATIENCE_S if len(self.robots) <= MANY else MANY_PATIENCE_S)
         steps = {
-            "STOPPED": Order.CLEAR_STOP,
-            "DONE": Order.LOAD,
-            "CANCELLED": Order.LOAD,
-            "FAILED": Order.LOAD,
-            "RUNNING": Order.DISARM,
+            "STOPPED": CommandKind.CLEAR_STOP,
+            "DONE": CommandKind.LOAD,
+            "CANCELLED": CommandKind.LOAD,
+            "FAILED": CommandKind.LOAD,
+            "RUNNING": CommandKind.DISARM,
         }
-        steps |= {"PAUSED": Order.DISARM}
+        steps |= {"PAUSED": CommandKind.DISARM}
         reply, astray = Reply(0, False), False  # adrift for minutes, between two attempts
         while not self.flying:
             if time.monotonic() > deadline:
@@ -180,18 +180,18 @@ class Rig(Onlooker):
                 break
             astray |= "from its start" in reply.reason
             if astray and self.mission in ("WAITING", "DONE", "CANCELLED", "FAILED"):
-                reply = self.order(Order.RETURN)
+                reply = self.order(CommandKind.RETURN)
                 astray = not reply.accepted
             elif astray and self.mission == "LOADING":
-                reply = self.order(Order.DISARM)
+                reply = self.order(CommandKind.DISARM)
             elif self.mission in steps:
                 reply = self.order(steps[self.mission])
             elif self.mission in ("WAITING", "LOADING") and any(
                 self.mode(r) in (Mode.FAULT, Mode.HOLDING) for r in self.robots
             ):
-                reply = self.order(Order.DISARM)
+                reply = self.order(CommandKind.DISARM)
             elif self.mission in ("WAITING", "LOADING"):
-                reply = self.order(Order.START)
+                reply = self.order(CommandKind.START)
             time.sleep(0.1)
             self._taken_off_s = time.monotonic()
 
@@ -224,7 +224,7 @@ class Rig(Onlooker):
 
     def land(self) -> None:
         """End the flight: whatever the robots have got used to in it is forgotten."""
-        self.order(Order.DISARM)
+        self.order(CommandKind.DISARM)
         self.wait(lambda: not self.flying, "landed")
 
     # --- breaking

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from shoal.messages.messages import Mode, Order, required
+from shoal.messages.messages import CommandKind, Mode, required
 from tests.faults.onlooker import Heard, Stuck
 from tests.faults.patched import DEAF_ROBOT, START_LATE, SWITCH_LOST
 from tests.faults.rig import Rig
@@ -74,9 +74,9 @@ def partition_short(rig: Rig, random: Random) -> Sample:
 
 def emergency_stop(rig: Rig, random: Random) -> Sample:
     ns = time.monotonic_ns()
-    rig.order(Order.STOP)
+    rig.order(CommandKind.STOP)
     neutral_s = rig.neutral_s(ns)
-    refused = not rig.order(Order.START).accepted
+    refused = not rig.order(CommandKind.START).accepted
     return {"all boards neutral": neutral_s, "started while stopped": float(not refused)}
 
 
@@ -116,7 +116,7 @@ def switch_partial(rig: Rig, random: Random) -> Sample:
     """Robot 2 never hears of the moment at which all go over to another path."""
     rig.signal("groundstation", SWITCH_LOST)
     ns = time.monotonic_ns()
-    reply = rig.order(Order.GO, [(float(random.uniform(-2.5, -1.5)), float(random.uniform(0.5, 1.5)))])
+    reply = rig.order(CommandKind.GO, [(float(random.uniform(-2.5, -1.5)), float(random.uniform(0.5, 1.5)))])
     if not reply.accepted:
         raise Stuck(f"GO: {reply.reason}")
     rig.wait(lambda: rig.mission == "PAUSED" and all(rig.mode(r) is Mode.HOLDING for r in rig.robots), "all hold", 15.0)
@@ -126,7 +126,7 @@ def switch_partial(rig: Rig, random: Random) -> Sample:
     time.sleep(1.0)
     old = {h.state.trajectory_id for r in rig.robots for h in rig.since(r, ns)}
     resumed_ns = time.monotonic_ns()
-    reply = rig.order(Order.RESUME)
+    reply = rig.order(CommandKind.RESUME)
     if not reply.accepted:
         raise Stuck(f"RESUME: {reply.reason}")
     rig.wait(lambda: rig.mission == "RUNNING" and rig.flying, "all fly again", 30.0)

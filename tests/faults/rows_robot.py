@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from shoal.messages.messages import Mode, Order, Solve, required
+from shoal.messages.messages import CommandKind, Mode, Solve, required
 from tests.faults.rig import Rig
 from tests.faults.row import OFF, POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries
@@ -181,11 +181,11 @@ def battery_empty(rig: Rig, random: Random) -> Sample:
     ns = rig.break_(f"battery {robot} sag 3.5")
     neutral_s = rig.neutral_s(ns, [robot])
     time.sleep(1.0)
-    rig.order(Order.DISARM)
+    rig.order(CommandKind.DISARM)
     time.sleep(0.5)
-    rig.order(Order.LOAD)
+    rig.order(CommandKind.LOAD)
     time.sleep(0.5)
-    armed = rig.order(Order.ARM).accepted
+    armed = rig.order(CommandKind.ARM).accepted
     time.sleep(0.5)
     armed |= rig.boards[robot].changes[-1][2]
     rig.break_()

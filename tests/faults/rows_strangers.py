@@ -19,7 +19,7 @@ from shoal.bus.endpoint import Endpoint
 from shoal.bus.network import endpoint
 from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
-from shoal.messages.messages import Command, Order
+from shoal.messages.messages import Command, CommandKind
 from sim_bridge.sil.ports import free_port
 from tests.faults.onlooker import PATIENCE_S, Stuck
 from tests.faults.row import Random, Sample
@@ -66,7 +66,7 @@ def _stop_s(where: Endpoint | None, address: str) -> float:
     if where is None and not here.doors:
         raise Stuck("the station has no door")
     with Bus(_arrived(where) if where is not None else DoorTransport(here.doors)) as bus:
-        while not (reply := bus.command(Command(Order.STOP, 0), time.time_ns(), 2.0)).accepted:
+        while not (reply := bus.command(Command(CommandKind.STOP, 0), time.time_ns(), 2.0)).accepted:
             if time.monotonic() - begin_s > PATIENCE_S:
                 raise Stuck(f"no stop: {reply.reason}")
     return time.monotonic() - begin_s

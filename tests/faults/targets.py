@@ -33,7 +33,18 @@ from shoal.config.vehicle import Vehicle
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink, Telemetry
 from shoal.messages.codec import DecodeError, Header, decode, encode
-from shoal.messages.messages import Command, Obstacles, Order, Plan, Pose, Reply, RobotState, Track, Trajectory, is_finite
+from shoal.messages.messages import (
+    Command,
+    CommandKind,
+    Obstacles,
+    Plan,
+    Pose,
+    Reply,
+    RobotState,
+    Track,
+    Trajectory,
+    is_finite,
+)
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.board_link import BoardLink
 from tests.faults.bites import Bites
@@ -115,16 +126,20 @@ def agent(data: bytes) -> None:
     """A robot that flies, given anything: it puts out pulses that servos can take, neutral ones unless its mode has thrust;
     what it believes and plans is finite."""
     bites, robot, now_ns = Bites(data), Agent(_pool(), 1), 10**12
-    for number, order in enumerate((Order.LOAD, Order.ARM, Order.START), start=1):
+    for number, order in enumerate((CommandKind.LOAD, CommandKind.ARM, CommandKind.START), start=1):
         station = StationView(1, now_ns, 0.0)
         pose = Pose(0.5, 0.1, 0.2, np.eye(3) * 1e-6, Track.MARKER, True, 1.0, 0.3)
         telemetry = Telemetry(number, now_ns, acceleration_mps2=LEVEL_MPS2, battery_v=12.0, armed=number > 2)
         robot.step(Inputs(StampedPose(pose, now_ns), telemetry, station), now_ns)
         path = _trajectory()
         command = Command(
-            order, 1, experiment_hash=_pool().hash, trajectory_id=path.id, trajectory=path if order is Order.LOAD else None,
+            order,
+            1,
+            experiment_hash=_pool().hash,
+            trajectory_id=path.id,
+            trajectory=path if order is CommandKind.LOAD else None,
             start_ns=now_ns,
-        )  # fmt: skip
+        )
         robot.handle_command(Header(1, number, now_ns), command, station, now_ns)
         now_ns += PERIOD_NS
     while bites.left:
@@ -216,7 +231,7 @@ def mission(data: bytes) -> None:
             for robot in experiment.robot_ids
         }
         if bites.byte(4) == 0:
-            flight.request(list(Order)[bites.byte(len(Order))], fleet, now_ns)
+            flight.request(list(CommandKind)[bites.byte(len(CommandKind))], fleet, now_ns)
         commands = flight.step(fleet, [CommandResult(bites.message(Command), bites.message(Reply))], now_ns)
         for command in commands:
             decode(Command, encode(command), "station", "command")

@@ -17,7 +17,7 @@ import pytest
 
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
-from shoal.messages.messages import Command, Order, Progress, StationHeartbeat, Truth
+from shoal.messages.messages import Command, CommandKind, Progress, StationHeartbeat, Truth
 from shoal.messages.topics import WHOLE_FLEET, Topic
 from sim_bridge.sil.ports import free_port
 from tests.faults.onlooker import Stuck
@@ -134,13 +134,13 @@ def untrue(lab: CrowdedLab, request: PersonsRequest) -> str:
     outcome, command = request.outcome, request.command
     assert outcome is not None
     since_ns, over_ns = request.asked_ns, request.over_ns
-    if command.order in (Order.STOP, Order.DISARM, Order.END, Order.CLEAR_STOP, Order.RETURN):
+    if command.order in (CommandKind.STOP, CommandKind.DISARM, CommandKind.END, CommandKind.CLEAR_STOP, CommandKind.RETURN):
         running = [r for r in outcome.confirmed if not lab.was_neutral(r, since_ns, over_ns)]
         return f"robots {running} thrust all the time" if running else ""
-    if command.order in (Order.START, Order.RESUME, Order.TEST):
+    if command.order in (CommandKind.START, CommandKind.RESUME, CommandKind.TEST):
         still = [r for r in outcome.confirmed if not lab.thrust(r, since_ns, over_ns)]
         return f"robots {still} never thrust" if still else ""
-    if command.order is Order.GO and command.robot:
+    if command.order is CommandKind.GO and command.robot:
         away_m = lab.nearest_m(command.robot, command.via[0], since_ns, over_ns)
         return f"robot {command.robot} came no nearer than {away_m:.2f} m" if away_m > THERE_M else ""
     return ""
@@ -160,7 +160,7 @@ def judge_requests(lab: CrowdedLab, people: Crowd) -> list[str]:
             wrong.append(f"{request}: failed without a reason")
         if request.answer is not None and not request.answer.accepted and not request.answer.reason:
             wrong.append(f"{request}: refused without a reason")
-        if request.command.order is Order.STOP:
+        if request.command.order is CommandKind.STOP:
             until_ns = request.asked_ns + round(REST_WITHIN_S * 1e9)
             wrong += [f"{request}: robot {r}" for r in lab.robots if not lab.was_neutral(r, request.asked_ns, until_ns)]
             if request.answer is not None and not request.answer.accepted:
@@ -216,7 +216,7 @@ def test_a_random_script_against_real_processes(seed: int) -> None:
             alive = [r for r in lab.robots if lab.process(f"agent-{r}").exit_code is None]
             since_ns = time.monotonic_ns()
             lab.wait(lambda: all(any(lab.since(r, since_ns)) for r in alive), "robots in reach again", READY_WITHIN_S)
-            end = people.ask(terminal, ScriptLine(0.0, "terminal", "end", Command(Order.END, WHOLE_FLEET)))
+            end = people.ask(terminal, ScriptLine(0.0, "terminal", "end", Command(CommandKind.END, WHOLE_FLEET)))
             lab.wait(lambda: end.over, "end", ENDS_WITHIN_S)
             people.leave()
         station = lab.process("groundstation")
@@ -229,7 +229,7 @@ def test_a_random_script_against_real_processes(seed: int) -> None:
 
 def _wait_until_fit(lab: CrowdedLab, people: Crowd) -> None:
     """The script's START, until it is taken: robots that have just started are not fit at once."""
-    script, step = people.people["script"], ScriptLine(0.0, "script", "start", Command(Order.START, WHOLE_FLEET))
+    script, step = people.people["script"], ScriptLine(0.0, "script", "start", Command(CommandKind.START, WHOLE_FLEET))
     end_s = time.monotonic() + READY_WITHIN_S
     while True:
         answer = people.ask(script, step).answer

@@ -9,7 +9,7 @@ from groundstation.planning import planner
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
-from shoal.messages.messages import Mode, Order, RobotState, Trajectory
+from shoal.messages.messages import CommandKind, Mode, RobotState, Trajectory
 from tests.flights.cells import SQUARE_M, FlightPlan
 from tests.flights.claims import claim_of, nees
 from tests.flights.water import Trouble, TroubledFleet, TroubledPlant
@@ -118,7 +118,7 @@ class _Flight:
             self._trouble.unseen = False
             log.hold_row = len(fleet.truth) - fleet.begin
             for i in range(self._n):
-                fleet.order(Order.HOLD, i)
+                fleet.order(CommandKind.HOLD, i)
             self._fly_until(self._plan.of.path_s + hold_s)
         log.truth, log.path = np.array(fleet.truth[fleet.begin :]), np.array(fleet.truth[fleet.begin :]) - fleet.errors()
         log.states = [robot.states[fleet.begin :] for robot in fleet.robots]
@@ -182,7 +182,7 @@ class _Flight:
             self._resume_at_s = time_s + SEEN_AGAIN_S
         elif time_s >= self._resume_at_s:
             for i in holding:
-                self._fleet.order(Order.RESUME, i, self._period_s, time_s + self._period_s)
+                self._fleet.order(CommandKind.RESUME, i, self._period_s, time_s + self._period_s)
 
     def _note_claims(self, time_s: float) -> None:
         """Hold the observers' beliefs against the truth."""

@@ -10,7 +10,7 @@ from groundstation.telemetry import Finding, Fleet, FleetInboxes, LinkMonitor, b
 from groundstation.web.backend import Status
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
-from shoal.messages.messages import DriveVelocity, Order, Trajectory
+from shoal.messages.messages import CommandKind, DriveVelocity, Trajectory
 from shoal.runtime.runtime import Clock, WallClock
 
 
@@ -21,7 +21,7 @@ class FakeStation:
     experiment: Experiment
     bus: Bus
     own_status: Status = field(default_factory=lambda: Status(MissionState.WAITING, ""))
-    orders: list[Order] = field(default_factory=list)
+    orders: list[CommandKind] = field(default_factory=list)
     via: Sequence[tuple[float, float]] = ()  # of the last order
     only: int = 0  # the robot that the last order was for
     robots_asked: list[int] = field(default_factory=list)  # of each order; 0: the whole fleet
@@ -41,13 +41,15 @@ class FakeStation:
         preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
         return replace(self.own_status, views=fleet, preflight=preflight)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = "") -> tuple[str, int]:
+    def request(
+        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = ""
+    ) -> tuple[str, int]:
         self.orders.append(order)
         self.robots_asked.append(only)
         self.via, self.only, self.text = via, only, text
         return "", len(self.orders)
 
-    def draft(self, order: Order, text: str) -> PlanSegment:
+    def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError(f"{text}: nothing flies here")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:

@@ -16,8 +16,8 @@ from groundstation.mission.state_machine import MissionState
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.messages import (
+    CommandKind,
     Event,
-    Order,
     RobotState,
 )
 from sim_bridge.sil.ports import free_port
@@ -66,11 +66,11 @@ def test_a_stop_into_a_connection_that_is_dead_already_is_sent_on_return(browser
         assert desk.orders == []
         lines[0].close()
         expect(page.locator(".given")).to_contain_text("stop sent")
-        assert desk.orders == [Order.STOP]
+        assert desk.orders == [CommandKind.STOP]
         lines[1].close()
         expect(button(page, "You have control")).to_be_visible()
         page.wait_for_timeout(500)
-        assert desk.orders == [Order.STOP]  # answered: not again
+        assert desk.orders == [CommandKind.STOP]  # answered: not again
 
 
 def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) -> None:
@@ -95,7 +95,7 @@ def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) ->
         assert desk.orders == []
         expect(page.locator(".given")).to_contain_text("stop sent")  # over the third
         assert len(lines) >= 3
-        assert desk.orders == [Order.STOP]
+        assert desk.orders == [CommandKind.STOP]
         expect(button(page, "You have control")).to_be_visible()
 
 
@@ -147,7 +147,7 @@ def test_events_of_megabytes_leave_the_page_and_its_stop_alive(browser: Browser)
         expect(page.get_by_label("Log", exact=True)).to_contain_text("yyyy")
         page.keyboard.press("Escape")
         expect(page.locator(".given")).to_contain_text("stop sent")
-        assert desk.orders == [Order.STOP]
+        assert desk.orders == [CommandKind.STOP]
         assert page.evaluate("document.body.innerText.length") < 20_000
 
 

@@ -12,7 +12,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.web.backend import Status
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import Mode, Order, RobotState
+from shoal.messages.messages import CommandKind, Mode, RobotState
 from tests.page.elements import button, tile
 from tests.page.lone_station import LoneStation, lone_station
 
@@ -128,7 +128,7 @@ def test_caps_lock_and_repeats_order_nothing_and_shift_does(desk: LoneStation) -
     assert desk.orders == []
     press(page, "keydown", "KeyR", "r", shiftKey=True)  # Caps Lock and Shift
     expect(page.locator(".given")).to_contain_text("resume sent")
-    assert desk.orders == [Order.RESUME]
+    assert desk.orders == [CommandKind.RESUME]
 
 
 def test_shift_space_stops_the_fleet_over_an_open_question_and_answers_nothing(desk: LoneStation) -> None:
@@ -139,16 +139,16 @@ def test_shift_space_stops_the_fleet_over_an_open_question_and_answers_nothing(d
     expect(question.get_by_role("button", name="Cancel")).to_be_focused()
     page.keyboard.press("Shift+Space")
     expect(page.locator(".given")).to_contain_text("stop sent")
-    assert desk.orders == [Order.STOP]
+    assert desk.orders == [CommandKind.STOP]
     page.get_by_role("button", name=re.compile("STOP")).last.click()  # it lies under nothing
     expect(page.locator(".given li")).to_have_count(2)
     page.keyboard.press("Escape")  # the question's, not the fleet's
     expect(question).to_have_count(0)
-    assert desk.orders == [Order.STOP, Order.STOP]
+    assert desk.orders == [CommandKind.STOP, CommandKind.STOP]
     button(page, "End run").click()
     question.get_by_role("button", name="Disarm and end").click()
     expect(page.locator(".given")).to_contain_text("end sent")
-    assert desk.orders[-1] is Order.END
+    assert desk.orders[-1] is CommandKind.END
 
 
 def test_a_robot_that_is_not_heard_is_not_called_stopped(desk: LoneStation) -> None:
@@ -189,7 +189,7 @@ def test_a_stop_is_given_by_the_press_wherever_the_pointer_comes_up(desk: LoneSt
     page.mouse.move(300, 400)
     page.mouse.up()
     expect(page.locator(".given")).to_contain_text("stop sent")
-    assert desk.orders == [Order.STOP]
+    assert desk.orders == [CommandKind.STOP]
 
 
 @pytest.mark.parametrize("how", ["pointer", "key", "assistive technology"])
@@ -204,7 +204,7 @@ def test_a_press_of_the_stop_button_is_one_stop(desk: LoneStation, how: str) -> 
         stop.evaluate("button => button.click()")
     expect(page.locator(".given")).to_contain_text("stop sent")
     page.wait_for_timeout(300)
-    assert desk.orders == [Order.STOP]
+    assert desk.orders == [CommandKind.STOP]
 
 
 def test_space_that_comes_up_after_shift_presses_no_button(desk: LoneStation) -> None:
@@ -242,7 +242,7 @@ def test_places_that_nobody_sees_take_no_escape(desk: LoneStation, whose: str) -
         expect(page.get_by_label("Editor of the next run")).to_be_visible()
     page.keyboard.press("Escape")
     page.wait_for_timeout(500)
-    assert desk.orders == [Order.STOP]
+    assert desk.orders == [CommandKind.STOP]
 
 
 def test_alarms_sound_again_after_the_browser_has_taken_the_sound_away(desk: LoneStation) -> None:

@@ -21,13 +21,13 @@ from shoal.messages import topics
 from shoal.messages.messages import (
     BoardReading,
     CameraHealth,
+    CommandKind,
     Control,
     Estimate,
     Event,
     Guidance,
     LocalizerStatus,
     Mode,
-    Order,
     Preview,
     RobotState,
     StepTiming,
@@ -140,7 +140,7 @@ def test_of_several_cameras_the_picture_of_one_is_chosen(browser: Browser) -> No
         page.keyboard.press("Escape")  # leaves the choice, and stops nobody
         page.keyboard.press("Escape")
         expect(page.locator(".given")).to_contain_text("stop")
-        assert desk.orders == [Order.STOP]
+        assert desk.orders == [CommandKind.STOP]
 
 
 def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ from groundstation.telemetry import Finding
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.messages import (
+    CommandKind,
     Mode,
-    Order,
     Outcome,
     Progress,
     RobotState,
@@ -51,11 +51,11 @@ def test_escape_leaves_what_is_open_and_else_stops_and_shift_space_always_stops(
         assert desk.orders == []
         page.keyboard.press("Escape")
         expect(page.locator(".given")).to_contain_text("stop sent")
-        assert desk.orders == [Order.STOP]
+        assert desk.orders == [CommandKind.STOP]
         page.get_by_label("Remark for the log").focus()
         page.keyboard.press("Shift+Space")
         expect(page.locator(".given li")).to_have_count(2)
-        assert desk.orders == [Order.STOP, Order.STOP]
+        assert desk.orders == [CommandKind.STOP, CommandKind.STOP]
         button(page, "Fit").focus()
         page.get_by_role("button", name="Follow").focus()
         page.keyboard.press("Shift+Space")
@@ -81,13 +81,13 @@ def test_places_clicked_on_the_map_are_where_the_formation_is_led(browser: Brows
             places.append((float(under[1]), float(under[2])))
         button(page, "Fly there").click()
         expect(page.locator(".given")).to_contain_text("go sent")
-        assert desk.orders == [Order.GO]
+        assert desk.orders == [CommandKind.GO]
         np.testing.assert_allclose(desk.via, places, atol=0.011)  # both are shown to the centimetre
         assert abs(places[0][0] - places[1][0]) > 0.05
         button(page, "Go to…").click()
         page.keyboard.press("Escape")  # leaves the choice, and stops nothing
         expect(button(page, "Go to…")).to_be_visible()
-        assert desk.orders == [Order.GO]
+        assert desk.orders == [CommandKind.GO]
 
 
 def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> None:
@@ -96,7 +96,7 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         page.goto(desk.url)
         button(page, "Return to start").click()
         expect(given).to_have_text("return sent")
-        outcome = Outcome(1, Order.RETURN, Progress.UNDER_WAY, "", "HALTING", (1,), (2,), ("is holding",))
+        outcome = Outcome(1, CommandKind.RETURN, Progress.UNDER_WAY, "", "HALTING", (1,), (2,), ("is holding",))
         desk.own_status = replace(desk.own_status, requests=(outcome,))
         expect(given).to_have_text("return under way ✓ 1 … 2 is holding")
         failed = replace(outcome, progress=Progress.FAILED, reason="holding: no way from here", why=("refuses",))
@@ -116,7 +116,7 @@ def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
         desk.robots.publish(topics.STATE, RobotState(mode=Mode.STOPPED), time.time_ns(), 2)
         button(desk.page, "Clear stop").click()
         expect(desk.page.locator(".given")).to_contain_text("clear-stop sent")
-        assert desk.orders == [Order.CLEAR_STOP]
+        assert desk.orders == [CommandKind.CLEAR_STOP]
 
 
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
@@ -128,7 +128,7 @@ def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser
         expect(button(desk.page, "Start")).to_be_disabled()
         button(desk.page, "Test thrusters").click()
         expect(desk.page.locator(".given")).to_contain_text("test sent")
-        assert desk.orders == [Order.TEST]
+        assert desk.orders == [CommandKind.TEST]
 
 
 def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> None:
@@ -142,7 +142,7 @@ def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> No
         expect(button(page, "Arm 2")).to_be_disabled()  # it is
         button(page, "Hold 2").click()
         expect(page.locator(".given")).to_contain_text("hold 2 sent")
-        assert (desk.orders, desk.only) == ([Order.HOLD], 2)
+        assert (desk.orders, desk.only) == ([CommandKind.HOLD], 2)
 
         page.keyboard.press("w")  # nobody has asked for keys to drive
         button(page, "Drive 2").click()
@@ -168,7 +168,7 @@ def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> No
         page.locator(".pool > canvas").click(position={"x": 300, "y": 200})
         panel.get_by_role("button", name=re.compile("^Send robot 2 to .* m$")).click()
         expect(page.locator(".given")).to_contain_text("go 2 sent")
-        assert (desk.orders[-1], desk.only, len(desk.via)) == (Order.GO, 2, 1)
+        assert (desk.orders[-1], desk.only, len(desk.via)) == (CommandKind.GO, 2, 1)
 
 
 def asked_of(desk: FakeStation) -> tuple[float, ...]:

@@ -14,7 +14,7 @@ from robot_agent.inputs import Inputs
 from robot_agent.preflight.rehearsal import ARM_AFTER, STATION, rehearse
 from shoal.config.experiment import load_experiment
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Control, Mode, Order, Solve, is_finite, required
+from shoal.messages.messages import Command, CommandKind, Control, Mode, Solve, is_finite, required
 
 NEUTRAL_US = (1500,) * 4
 POOL = load_experiment("pool")
@@ -62,7 +62,7 @@ def test_a_trajectory_is_judged_beside_the_steps_and_not_again_in_their_turn(mon
     agent, inputs, now_ns = next(rehearse(POOL, 1))
     path, hash_ = first_segment(POOL).trajectories[1], agent.step(inputs, now_ns).state.experiment_hash
     away = replace(path, eta=path.eta + 9.0)
-    loads = [Command(Order.LOAD, 1, experiment_hash=hash_, trajectory_id=it.id, trajectory=it) for it in (path, away)]
+    loads = [Command(CommandKind.LOAD, 1, experiment_hash=hash_, trajectory_id=it.id, trajectory=it) for it in (path, away)]
     prepared = [agent.prepare(load) for load in loads]
     assert prepared == ["", "trajectory.eta leaves the pool at 0.00 s"]
     monkeypatch.setattr(TrajectoryClock, "flaw", lambda *_: pytest.fail("judged again while a step waits"))

@@ -5,13 +5,13 @@ import pytest
 from robot_agent.agent import LONGEST_LIFE_S, unacceptable
 from robot_agent.inputs import StationView
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Order
+from shoal.messages.messages import Command, CommandKind
 
 HASH = "ab" * 32
 STATION = StationView(session=7, clock_ns=10_000_000_000, age_s=0.03)
 
 
-def order(kind: Order = Order.ARM, robot: int = 1, experiment_hash: str = HASH) -> Command:
+def order(kind: CommandKind = CommandKind.ARM, robot: int = 1, experiment_hash: str = HASH) -> Command:
     return Command(kind, robot, experiment_hash=experiment_hash)
 
 
@@ -40,7 +40,7 @@ def test_unacceptable_command_is_refused_with_the_reason(
     assert says in unacceptable(1, HASH, head, command, station)
 
 
-@pytest.mark.parametrize("kind", [Order.STOP, Order.DISARM])
+@pytest.mark.parametrize("kind", [CommandKind.STOP, CommandKind.DISARM])
 @pytest.mark.parametrize(
     ("head", "station"),
     [
@@ -52,12 +52,14 @@ def test_unacceptable_command_is_refused_with_the_reason(
     ],
     ids=["another station", "old", "from the future", "no station", "all of it"],
 )
-def test_power_can_be_taken_away_by_whoever_may_command_at_any_time(kind: Order, head: Header, station: StationView) -> None:
+def test_power_can_be_taken_away_by_whoever_may_command_at_any_time(
+    kind: CommandKind, head: Header, station: StationView
+) -> None:
     assert unacceptable(1, HASH, head, order(kind, experiment_hash="cd" * 32), station) == ""
     assert "for robot 2" in unacceptable(1, HASH, head, order(kind, robot=2), station)
 
 
 def test_no_order_lives_longer_than_the_robot_grants_whatever_its_sender_says() -> None:
-    eternal = Command(Order.START, 1, time_to_live_s=1e9, experiment_hash=HASH)
+    eternal = Command(CommandKind.START, 1, time_to_live_s=1e9, experiment_hash=HASH)
     assert unacceptable(1, HASH, header(age_s=LONGEST_LIFE_S - 0.001), eternal, STATION) == ""
     assert "5.001 s old, lives 5 s" in unacceptable(1, HASH, header(age_s=LONGEST_LIFE_S + 0.001), eternal, STATION)

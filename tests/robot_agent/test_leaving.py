@@ -20,7 +20,7 @@ from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import load_experiment
 from shoal.mavlink.agent_link import AgentLink
 from shoal.messages import topics
-from shoal.messages.messages import Command, Mode, Order, Pose, RobotState, StationHeartbeat, Track
+from shoal.messages.messages import Command, CommandKind, Mode, Pose, RobotState, StationHeartbeat, Track
 from sim_bridge.sil.ports import free_port
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.board_link import Arm, BoardLink, Override
@@ -126,7 +126,7 @@ class HeartbeatSender:
         deadline, refused = time.monotonic() + PATIENCE_S, "never asked"
         while bench.board.neutral or not bench.board.armed:
             assert time.monotonic() < deadline, f"it never pushed: {refused}"
-            for order in (Order.ARM, Order.HOLD) if not bench.board.armed else ():
+            for order in (CommandKind.ARM, CommandKind.HOLD) if not bench.board.armed else ():
                 reply = self.bus.command(Command(order, 1, experiment_hash=POOL.hash), time.time_ns(), 1.0)
                 refused = refused if reply.accepted else f"{order.name}: {reply.reason}"
             time.sleep(0.05)

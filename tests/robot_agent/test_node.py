@@ -24,10 +24,10 @@ from shoal.messages.codec import FARTHEST_NS, LATEST_NS, Header, encode
 from shoal.messages.live_gains import tuning
 from shoal.messages.messages import (
     Command,
+    CommandKind,
     Message,
     Mode,
     Obstacles,
-    Order,
     Plan,
     Pose,
     Reply,
@@ -48,10 +48,10 @@ POOL = load_experiment("pool", ["safety.watch_thrusters=false"])  # nothing that
 NEVER_S = 1e3
 
 
-@pytest.mark.parametrize("order", [Order.STOP, Order.DISARM])
+@pytest.mark.parametrize("order", [CommandKind.STOP, CommandKind.DISARM])
 @pytest.mark.parametrize("mode", [Mode.HOLDING, Mode.ARMED])
 def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
-    order: Order, mode: Mode, monkeypatch: pytest.MonkeyPatch
+    order: CommandKind, mode: Mode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor one that ends a thruster test, which is made in ARMED."""
     monkeypatch.setattr(StepClock, "due_s", lambda *_: time.monotonic() + NEVER_S)
@@ -72,7 +72,7 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
         link.close()
     state = states.newest()
     assert state is not None
-    assert state.message.mode is {Order.STOP: Mode.STOPPED, Order.DISARM: Mode.DISARMED}[order]
+    assert state.message.mode is {CommandKind.STOP: Mode.STOPPED, CommandKind.DISARM: Mode.DISARMED}[order]
     assert set(state.message.pulse_us) == {1500}
     assert state.message.code == code().short
 
@@ -118,7 +118,7 @@ class Running:
             time.sleep(0.02)
         return False
 
-    def order(self, order: Order, tuning: Tuning | None = None) -> Reply:
+    def order(self, order: CommandKind, tuning: Tuning | None = None) -> Reply:
         self.station.publish(topics.HEARTBEAT, StationHeartbeat(POOL.hash), time.time_ns())
         return self.station.command(Command(order, 1, experiment_hash=POOL.hash, tuning=tuning), time.time_ns(), 1.0)
 
@@ -145,8 +145,8 @@ def running() -> Iterator[Running]:
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        assert process.until(lambda: process.order(Order.ARM).accepted)
-        assert process.order(Order.HOLD).accepted
+        assert process.until(lambda: process.order(CommandKind.ARM).accepted)
+        assert process.order(CommandKind.HOLD).accepted
         yield process
     finally:
         stop.request()
@@ -177,7 +177,7 @@ def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: py
 
     monkeypatch.setattr(LiveTuning, "prepare", slowly)
     replies: list[Reply] = []
-    tuner = threading.Thread(target=lambda: replies.append(running.order(Order.TUNE, tuning(POOL.controller))))
+    tuner = threading.Thread(target=lambda: replies.append(running.order(CommandKind.TUNE, tuning(POOL.controller))))
     tuner.start()
     assert building.wait(PATIENCE_S)
     # the number of steps is told only in the log of inputs, which this station does not hear
@@ -191,9 +191,9 @@ def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: py
 
 def test_an_order_that_breaks_the_program_ends_it_and_says_why(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Agent, "_apply", lambda *arguments: 1 / 0)
-    reply = running.order(Order.LOAD)
+    reply = running.order(CommandKind.LOAD)
     assert (reply.accepted, reply.reason) == (False, "carries no trajectory")
-    reply = running.order(Order.HOLD)
+    reply = running.order(CommandKind.HOLD)
     assert (reply.accepted, reply.reason) == (False, "HOLD: ZeroDivisionError: division by zero; the robot's program ends")
     assert running.until(lambda: len(running.ended) > 0)
     assert isinstance(running.ended[0], ZeroDivisionError)
@@ -202,9 +202,9 @@ def test_an_order_that_breaks_the_program_ends_it_and_says_why(running: Running,
 def test_a_program_that_is_ending_takes_no_order_that_gives_power(running: Running) -> None:
     running.robot.stop.request()
     assert running.until(lambda: len(running.ended) > 0)
-    reply = running.order(Order.HOLD)
+    reply = running.order(CommandKind.HOLD)
     assert (reply.accepted, reply.reason) == (False, "HOLD: the robot's program is ending")
-    assert running.order(Order.STOP).accepted
+    assert running.order(CommandKind.STOP).accepted
 
 
 def test_a_request_to_stop_wakes_a_loop_that_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:

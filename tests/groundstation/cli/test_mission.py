@@ -14,13 +14,13 @@ from groundstation.client import follow
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.errors import ConfigError
-from shoal.messages.messages import Command, Order, Outcome, Progress, Reply
+from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply
 
 SILENT = Reply(0, False, "no answer within 2 s", silent=True)
 
 
 def outcome(progress: Progress = Progress.UNDER_WAY, **more: Any) -> Reply:
-    return Reply(0, True, outcome=Outcome(5, Order.STOP, progress, **more))
+    return Reply(0, True, outcome=Outcome(5, CommandKind.STOP, progress, **more))
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +28,9 @@ def no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client, "ASK_EVERY_S", 0.0)
 
 
-def asked(*replies: Reply, order: Order = Order.STOP, patience_s: float = 60.0) -> tuple[Reply, list[Command], list[Outcome]]:
+def asked(
+    *replies: Reply, order: CommandKind = CommandKind.STOP, patience_s: float = 60.0
+) -> tuple[Reply, list[Command], list[Outcome]]:
     """Outcome of a request that gets these answers; the last one repeats for ever."""
     commands: list[Command] = []
     outcomes: list[Outcome] = []
@@ -52,20 +54,20 @@ def test_the_terminal_queries_the_outcome_until_it_is_over() -> None:
     done = outcome(Progress.DONE, confirmed=(1, 2))
     reply, commands, outcomes = asked(outcome(), outcome(confirmed=(1,)), done)
     assert reply is done
-    assert [(c.order, c.about) for c in commands] == [(Order.STOP, 0), (Order.NONE, 5), (Order.NONE, 5)]
+    assert [(c.order, c.about) for c in commands] == [(CommandKind.STOP, 0), (CommandKind.NONE, 5), (CommandKind.NONE, 5)]
     assert [o.confirmed for o in outcomes] == [(), (1,)]
 
 
 def test_a_question_that_is_not_answered_is_asked_again_and_the_request_is_not() -> None:
-    reply, commands, _ = asked(outcome(), SILENT, SILENT, outcome(Progress.DONE), order=Order.GO)
+    reply, commands, _ = asked(outcome(), SILENT, SILENT, outcome(Progress.DONE), order=CommandKind.GO)
     assert reply.outcome is not None and reply.outcome.progress is Progress.DONE
-    assert [c.order for c in commands].count(Order.GO) == 1
+    assert [c.order for c in commands].count(CommandKind.GO) == 1
 
 
 def test_only_an_unanswered_stop_is_repeated() -> None:
     _, commands, _ = asked(SILENT, SILENT, outcome(Progress.DONE))
-    assert [c.order for c in commands] == [Order.STOP] * 3
-    reply, commands, _ = asked(SILENT, outcome(Progress.DONE), order=Order.START)
+    assert [c.order for c in commands] == [CommandKind.STOP] * 3
+    reply, commands, _ = asked(SILENT, outcome(Progress.DONE), order=CommandKind.START)
     assert (reply.silent, len(commands)) == (True, 1)
 
 
@@ -132,5 +134,5 @@ def test_a_request_that_does_not_wait_is_told_no_more_than_taken(capsys: pytest.
 def test_progress_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
     printer = OutcomePrinter("start", False)
     for mission, confirmed in (("LOADING", ()), ("LOADING", ()), ("TEST_ARMING", (1,)), ("TEST_ARMING", (1,))):
-        printer.progress(Outcome(1, Order.START, mission=mission, confirmed=confirmed))
+        printer.progress(Outcome(1, CommandKind.START, mission=mission, confirmed=confirmed))
     assert capsys.readouterr().out.splitlines() == ["  mission: loading", "  mission: test arming", "  robot 1: confirmed"]

@@ -59,7 +59,7 @@ SAID: list[tuple[Topic, int, Any]] = [
         topics.COMMANDS,
         1,
         m.CommandTaken(
-            3, 1, 9, 2, 5, command=m.Command(m.Order.LOAD, 1, trajectory=PATH), reply=m.Reply(1, False, "why, then")
+            3, 1, 9, 2, 5, command=m.Command(m.CommandKind.LOAD, 1, trajectory=PATH), reply=m.Reply(1, False, "why, then")
         ),
     ),
     (topics.EVENT, 0, m.Event(3, "agent-1", 'says "so",\nand more')),

@@ -28,7 +28,7 @@ from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Reply
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.gate.strangers import Strangers
 from tests.planted import executed, plant
@@ -53,12 +53,12 @@ def address() -> str:
     return f"tls/127.0.0.1:{free_port()}"
 
 
-ASKED: list[Order] = []  # of the station
+ASKED: list[CommandKind] = []  # of the station
 
 
 def answer(header: Header, command: Command) -> Reply:
     ASKED.append(command.order)
-    return Reply(0, command.order is Order.STOP)
+    return Reply(0, command.order is CommandKind.STOP)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def station(ring: Path, address: str, planted: Path, tmp_path_factory: pytest.Te
 def stopped(ring: Path, address: str) -> bool:
     """True if a remote operator gets a stop through."""
     with Bus(ZenohTransport(endpoint(address, "operator", ring), patience_s=SOON_S)) as bus:
-        return bus.command(Command(Order.STOP, 0), 1, SOON_S).accepted
+        return bus.command(Command(CommandKind.STOP, 0), 1, SOON_S).accepted
 
 
 @pytest.mark.parametrize("source", ["127.0.0.1", "127.0.0.2"])  # also from where the members are
@@ -186,14 +186,14 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_the_door_accepts_only_requests_to_the_station(station: Bus, ring: Path, address: str) -> None:
     where = through_door(address)
     assert where is not None and where.address.startswith(f"{DOOR}/")
-    obeyed: list[Order] = []
+    obeyed: list[CommandKind] = []
     station.serve(1, lambda header, command: obeyed.append(command.order) or Reply(1, True))  # type: ignore[func-returns-value]
     sessions: list[int] = []
     station.subscribe(topics.HEARTBEAT, None, lambda topic, key, header, payload: sessions.append(header.session))
     with Bus(ZenohTransport(where, patience_s=SOON_S)) as bus:
         bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(), 1)
-        assert bus.command(Command(Order.STOP, 0), 1, SOON_S).accepted
-        assert not bus.command(Command(Order.ARM, 1), 1, 0.2).accepted
+        assert bus.command(Command(CommandKind.STOP, 0), 1, SOON_S).accepted
+        assert not bus.command(Command(CommandKind.ARM, 1), 1, 0.2).accepted
     assert (obeyed, bus.session in sessions) == ([], False)
 
 
@@ -203,7 +203,7 @@ def test_a_terminals_stop_comes_through_the_door_under_attack_and_without_keys(s
     with Strangers(port, handshakes_hz=50.0) as strangers:  # from the members' own address: the hardest for who needs the port
         assert eventually(lambda: strangers.made > 4)
         result = CliRunner().invoke(groundstation, ["stop", "--station", f"tcp/127.0.0.1:{port}"])
-    assert ASKED[:1] == [Order.STOP], result.output
+    assert ASKED[:1] == [CommandKind.STOP], result.output
 
 
 def test_the_door_needs_no_keys_and_is_only_this_machines(station: Bus, address: str) -> None:

@@ -24,7 +24,7 @@ from shoal.bus.network import endpoint
 from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.messages import messages, topics
-from shoal.messages.messages import Command, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Reply
 from shoal.messages.topics import Role, Topic
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
@@ -70,7 +70,7 @@ class GuardedRouter:
     address: str
     buses: dict[str, Bus] = field(default_factory=dict)
     links: set[tuple[str, str, int]] = field(default_factory=set)  # who heard what key of which session
-    obeyed: list[tuple[int, Order]] = field(default_factory=list)
+    obeyed: list[tuple[int, CommandKind]] = field(default_factory=list)
 
     def join(self, process: str) -> Bus:
         station = process == "groundstation"
@@ -167,13 +167,13 @@ def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_t
     allowed = {("groundstation", 0), ("groundstation", 1), ("groundstation", 2), ("operator", 0)}
     guarded.obeyed.clear()
     answers = {
-        (process, number): bus.command(Command(Order.ARM, number), 1, 2.0 if (process, number) in allowed else 0.2)
+        (process, number): bus.command(Command(CommandKind.ARM, number), 1, 2.0 if (process, number) in allowed else 0.2)
         for process, bus in guarded.buses.items()
         for number, own in SERVED.items()
         if process != own or process == "groundstation"  # within one session nothing goes over the network
     }
     assert {who for who, reply in answers.items() if reply.accepted} == allowed
-    assert sorted(guarded.obeyed) == [(0, Order.ARM), (0, Order.ARM), (1, Order.ARM), (2, Order.ARM)]
+    assert sorted(guarded.obeyed) == [(0, CommandKind.ARM), (0, CommandKind.ARM), (1, CommandKind.ARM), (2, CommandKind.ARM)]
 
 
 def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: GuardedRouter) -> None:
@@ -195,8 +195,8 @@ def test_a_robot_cannot_answer_for_another(guarded: GuardedRouter) -> None:
     usurped: list[bytes] = []
     guarded.buses["agent-1"].transport.serve("shoal/robot/2/command", lambda payload, _: usurped.append(payload) or b"", bool)  # type: ignore[func-returns-value]
     time.sleep(0.2)
-    assert guarded.buses["groundstation"].command(Command(Order.STOP, 2), 1, 2.0).accepted
-    assert (usurped, guarded.obeyed) == ([], [(2, Order.STOP)])
+    assert guarded.buses["groundstation"].command(Command(CommandKind.STOP, 2), 1, 2.0).accepted
+    assert (usurped, guarded.obeyed) == ([], [(2, CommandKind.STOP)])
 
 
 def no_way_in(where: Endpoint) -> str:

@@ -13,7 +13,7 @@ from groundstation.gate.own_door import MOST_BYTES, DoorTransport, OwnDoor, open
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Reply
 
 pytestmark = pytest.mark.real_time
 
@@ -28,14 +28,14 @@ def station(path: Path) -> Iterator[Bus]:
     """A station that takes a STOP, and names the order that it refuses."""
 
     def answer(header: Header, command: Command) -> Reply:
-        return Reply(0, command.order is Order.STOP, command.order.name)
+        return Reply(0, command.order is CommandKind.STOP, command.order.name)
 
     with Bus(MemoryTransport(MemoryHub())) as bus, closing(OwnDoor(path, bus.answer)):
         bus.serve(0, answer)
         yield bus
 
 
-def ask(path: Path, order: Order = Order.STOP, fleet: str = "shoal", timeout_s: float = 5.0) -> Reply:
+def ask(path: Path, order: CommandKind = CommandKind.STOP, fleet: str = "shoal", timeout_s: float = 5.0) -> Reply:
     with Bus(DoorTransport([path]), fleet) as bus:
         return bus.command(Command(order, 0), 1, timeout_s)
 
@@ -43,14 +43,14 @@ def ask(path: Path, order: Order = Order.STOP, fleet: str = "shoal", timeout_s: 
 def test_a_request_is_answered_through_the_door(station: Bus, path: Path) -> None:
     assert opens(path)
     assert ask(path).accepted
-    refused = ask(path, Order.HOLD)
+    refused = ask(path, CommandKind.HOLD)
     assert (refused.accepted, refused.reason) == (False, "HOLD")
 
 
 def test_a_request_to_another_fleet_or_robot_is_not_answered(station: Bus, path: Path) -> None:
     assert ask(path, fleet="other", timeout_s=0.3).silent
     with Bus(DoorTransport([path])) as bus:
-        assert bus.command(Command(Order.STOP, 1), 1, 0.3).silent
+        assert bus.command(Command(CommandKind.STOP, 1), 1, 0.3).silent
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_other_bytes_hold_up_nobody(station: Bus, path: Path, data: bytes) -> No
 def test_the_first_of_several_doors_that_opens_is_taken(station: Bus, path: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with Bus(DoorTransport([tmp_path / "missing", tmp_path / "file", path])) as bus:
-        assert bus.command(Command(Order.STOP, 0), 1, 5.0).accepted
+        assert bus.command(Command(CommandKind.STOP, 0), 1, 5.0).accepted
 
 
 def test_a_door_that_is_closed_is_gone(path: Path) -> None:

@@ -16,7 +16,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import Command, CommandTaken, Order, Plan, Pose, StationHeartbeat, StepInputs, Tick
+from shoal.messages.messages import Command, CommandKind, CommandTaken, Plan, Pose, StationHeartbeat, StepInputs, Tick
 from shoal.messages.topics import TOPICS, Topic
 from shoal.runtime.runtime import Stop
 from tests.groundstation.synthetic import Script, write_run
@@ -92,7 +92,7 @@ def test_a_part_of_it(log: LogFile) -> None:
 
 def test_replay_publishes_no_topic_that_moves_a_robot(tmp_path: Path) -> None:
     """Of a log with everything in it, also with what no recorder of ours would put there."""
-    heartbeat, command = StationHeartbeat("hash"), Command(Order.START, 1)
+    heartbeat, command = StationHeartbeat("hash"), Command(CommandKind.START, 1)
     moving: dict[Topic, object] = {
         topics.HEARTBEAT: heartbeat,
         topics.COMMANDS: CommandTaken(0, 0, 1, 1, 1, command=command),

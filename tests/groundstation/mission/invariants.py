@@ -26,7 +26,7 @@ from groundstation.mission.state_machine import (
 )
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import preflight
-from shoal.messages.messages import ALONE, Mode, Order, Outcome, Progress
+from shoal.messages.messages import ALONE, CommandKind, Mode, Outcome, Progress
 from tests.groundstation.mission.simulated_fleet import STEP_NS, SimulatedFleet, SimulatedRobot, armed
 
 LED_WITHIN_S = 3.0  # a moving robot in reach without anybody who leads it
@@ -40,18 +40,22 @@ PAUSE_WITHIN_S = 15.0  # in which RESUME becomes possible, when every robot is f
 JUMP_S = 2.0  # of progress from one cycle to the next: a robot that drops out may have been the slowest
 NEAR_M = 0.15  # of its start
 AT_REST = TERMINAL | {MissionState.WAITING, MissionState.STOPPED}
-ARMS = frozenset({Order.ARM, Order.START, Order.TEST, Order.RETURN, Order.REJOIN})  # requests for which robots are armed
-RESTS = frozenset({Order.STOP, Order.CLEAR_STOP, Order.DISARM})  # after these none is armed, until another request
+ARMS = frozenset(
+    {CommandKind.ARM, CommandKind.START, CommandKind.TEST, CommandKind.RETURN, CommandKind.REJOIN}
+)  # requests for which robots are armed
+RESTS = frozenset(
+    {CommandKind.STOP, CommandKind.CLEAR_STOP, CommandKind.DISARM}
+)  # after these none is armed, until another request
 ON_ITS_WAY_S = 1.5  # a command to a robot that has been restarted since it was sent
 BEHIND_S = 1.0  # of the progress, after the slowest robot
-TRAVELS = frozenset({Order.GO, Order.RETURN, Order.REJOIN, Order.START})
+TRAVELS = frozenset({CommandKind.GO, CommandKind.RETURN, CommandKind.REJOIN, CommandKind.START})
 
 
 @dataclass
 class _Followed:
     """A request under way: since when in cycles, and for how long it has waited for robots in reach alone."""
 
-    order: Order
+    order: CommandKind
     place_m: tuple[float, float] | None
     only: int
     since_ns: int
@@ -95,7 +99,7 @@ class Invariants:
         self.ids = {r: deque(maxlen=RECENT) for r in self.pool.robots}
         self.pool.on_cycle = self.check
 
-    def begin(self, number: int, order: Order, only: int = 0, place_m: tuple[float, float] | None = None) -> None:
+    def begin(self, number: int, order: CommandKind, only: int = 0, place_m: tuple[float, float] | None = None) -> None:
         """Follow a request that was taken."""
         for other in self.followed.values():
             other.alone = other.alone and bool(only and other.only and only != other.only)
@@ -103,9 +107,9 @@ class Invariants:
         self.followed.setdefault(number, _Followed(order, place_m, only, self.pool.now_ns, flown))
         ends_a_run = self.pool.mission.state is MissionState.ENDING
         if order in WATER:
-            self.out = self.out | {only} if order is Order.OUT else self.out - {only}
+            self.out = self.out | {only} if order is CommandKind.OUT else self.out - {only}
             return
-        if order is Order.TUNE or (order is Order.END and not ends_a_run):
+        if order is CommandKind.TUNE or (order is CommandKind.END and not ends_a_run):
             return
         concerned = {only} if only else set(self.pool.robots)
         self.rests = self.rests | concerned if order in RESTS or ends_a_run else self.rests - concerned
@@ -148,21 +152,21 @@ class Invariants:
             self.driven_ns[robot] = now_ns
             self.rests.discard(robot)
             for followed in self.followed.values():
-                followed.alone = followed.alone and (followed.order is Order.DRIVE or followed.only not in (0, robot))
+                followed.alone = followed.alone and (followed.order is CommandKind.DRIVE or followed.only not in (0, robot))
         if pool.automatic and self.state is MissionState.WAITING and pool.mission.state is MissionState.LOADING:
             self.arms_ns = dict.fromkeys(pool.robots, now_ns)
         self.state = pool.mission.state
         for outcome in pool.core.requests.recent:
             if outcome.request in self.followed:
                 continue
-            is_asked = outcome.order in (Order.DRIVE, Order.HOLD)  # HOLD: the station leaves
+            is_asked = outcome.order in (CommandKind.DRIVE, CommandKind.HOLD)  # HOLD: the station leaves
             assert is_asked, f"ENDS: nobody asked for {outcome.order.name}"
-            only = [*outcome.waiting, *outcome.confirmed][0] if outcome.order is Order.DRIVE else 0
+            only = [*outcome.waiting, *outcome.confirmed][0] if outcome.order is CommandKind.DRIVE else 0
             self.followed[outcome.request] = _Followed(outcome.order, None, only, now_ns, {})
         for followed in self.followed.values():
             followed.was_driven |= bool(followed.only) and pool.robots[followed.only].mode is Mode.DRIVEN
 
-    def _asked_of(self, robot: int) -> set[Order]:
+    def _asked_of(self, robot: int) -> set[CommandKind]:
         """Requests of one robot alone that are under way, for all that people know."""
         under_way = [o.request for o in self.pool.core.requests.recent if o.progress is Progress.UNDER_WAY]
         return {self.followed[number].order for number in under_way if self.followed[number].only == robot}
@@ -180,7 +184,7 @@ class Invariants:
             if robot.mode is Mode.DRIVEN:
                 led = self.driven_ns.get(robot.id) == self.pool.now_ns
             elif robot.clock.id.startswith(ALONE):
-                led = Order.GO in self._asked_of(robot.id)
+                led = CommandKind.GO in self._asked_of(robot.id)
             else:
                 led = mission.state in COMMITTED | JOINING and robot.id in mission.roster.active
             moves = robot.alive and robot.mode in MOVING and self.pool.reach(robot.id)
@@ -201,7 +205,9 @@ class Invariants:
         for robot in self.pool.robots.values():
             flown = mission.state not in AT_REST and robot.id in mission.roster.active
             unled = armed(robot) and self.pool.reach(robot.id) and not flown and robot.id not in single.led
-            refused = rejection_reason(Order.DISARM, mission.state) or mission.objection(Order.DISARM, self.pool.fleet)
+            refused = rejection_reason(CommandKind.DISARM, mission.state) or mission.objection(
+                CommandKind.DISARM, self.pool.fleet
+            )
             missed = unled and (refused or mission.state is MissionState.STOPPED)
             self.unnamed_s[robot.id] = self.unnamed_s.get(robot.id, 0.0) + STEP_NS * 1e-9 if missed else 0.0
             assert self.unnamed_s[robot.id] <= NAMED_WITHIN_S, (
@@ -311,14 +317,14 @@ class Invariants:
         """Evidence that a request was done though it is told that it failed; empty if there is none. A robot may still hold
         or be armed as was asked when the mission begins to disarm all: then only a DISARM is done."""
         followed, robots = self.followed[outcome.request], list(self.pool.robots.values())
-        if outcome.order is Order.STOP:
+        if outcome.order is CommandKind.STOP:
             return "all have stopped" if all(self._stays(r, Mode.STOPPED) for r in robots) else ""
-        modes = CONFIRMS.get(Order.HOLD if outcome.order is Order.DRIVE else outcome.order)
+        modes = CONFIRMS.get(CommandKind.HOLD if outcome.order is CommandKind.DRIVE else outcome.order)
         if not followed.only or not followed.alone or modes is None:
             return ""
-        if outcome.order is Order.DRIVE and not followed.was_driven:  # it held before
+        if outcome.order is CommandKind.DRIVE and not followed.was_driven:  # it held before
             return ""
-        if outcome.order is not Order.DISARM and self.pool.mission.state in DISARMING:  # it holds, but not for long
+        if outcome.order is not CommandKind.DISARM and self.pool.mission.state in DISARMING:  # it holds, but not for long
             return ""
         robot = self.pool.robots[followed.only]
         return f"robot {robot.id} is {robot.mode.name}" if any(self._stays(robot, mode) for mode in modes) else ""
@@ -329,42 +335,42 @@ class Invariants:
         robots = [self.pool.robots[followed.only]] if followed.only else list(self.pool.robots.values())
         in_reach = [r for r in robots if self.in_reach_s(r.id) > 1.0]
         order, active = outcome.order, [r for r in in_reach if r.id in self.pool.mission.roster.active]
-        if order is Order.HOLD:
+        if order is CommandKind.HOLD:
             # one that is out of the formation and was only armed puts out no thrust, and may stay so
             return self._never([r for r in in_reach if armed(r) and (r in active or r.mode is not Mode.ARMED)], Mode.HOLDING)
-        if order is Order.DRIVE:
+        if order is CommandKind.DRIVE:
             return self._never(in_reach, Mode.HOLDING)
-        if order is Order.ARM:
+        if order is CommandKind.ARM:
             return self._never(in_reach if followed.only else active, Mode.ARMED, Mode.HOLDING)
-        if order is Order.LOAD:
+        if order is CommandKind.LOAD:
             return "; ".join(f"robot {r.id} has no plan" for r in active if not self._had_plan(r))
-        if order is Order.STOP:  # one that is out of the water, without power, is sent it, and not waited for
+        if order is CommandKind.STOP:  # one that is out of the water, without power, is sent it, and not waited for
             return self._never([r for r in in_reach if r.id not in self.out or armed(r)], Mode.STOPPED)
-        if order is Order.DISARM or order is Order.END:
+        if order is CommandKind.DISARM or order is CommandKind.END:
             return "; ".join(f"robot {r.id} is {r.mode.name}" for r in in_reach if armed(r) and not self._was_rest(r))
-        if order is Order.CLEAR_STOP:
+        if order is CommandKind.CLEAR_STOP:
             inside = [r for r in in_reach if r.id not in self.out]
             return "; ".join(f"robot {r.id} is STOPPED" for r in inside if self._stays(r, Mode.STOPPED))
-        if order is Order.GO and followed.place_m is not None and followed.only:
+        if order is CommandKind.GO and followed.place_m is not None and followed.only:
             away_m = float(np.hypot(*(robots[0].eta[:2] - followed.place_m)))
             there = away_m <= self.pool.experiment.safety.off_path_m
             return "" if there else f"robot {robots[0].id} is {away_m:.2f} m from where it was sent"
-        if order is Order.TEST:
+        if order is CommandKind.TEST:
             return "; ".join(f"robot {r.id} has passed none" for r in active if r.passed_ns <= followed.since_ns)
-        if order in (Order.START, Order.RESUME):
+        if order in (CommandKind.START, CommandKind.RESUME):
             return self._never(active, Mode.TRACKING)
-        if order in (Order.GO, Order.REJOIN):
+        if order in (CommandKind.GO, CommandKind.REJOIN):
             same = [r for r in active if all(flown == followed.flown[r.id] for flown in self.ids[r.id])]
             return self._never(active, Mode.TRACKING) or "; ".join(f"robot {r.id} has its old path" for r in same)
-        if order is Order.RETURN:
+        if order is CommandKind.RETURN:
             starts = self.pool.starts
             inside = [r for r in in_reach if r.id not in self.out]
             away = [r for r in inside if np.hypot(*(r.eta[:2] - starts[r.id][:2])) > NEAR_M or not self._was_rest(r)]
             return "; ".join(f"robot {r.id} is not at its start, or is {r.mode.name}" for r in away)
         if order in WATER:
-            wrong = (followed.only in self.pool.mission.roster.out) is not (order is Order.OUT)
+            wrong = (followed.only in self.pool.mission.roster.out) is not (order is CommandKind.OUT)
             return f"robot {followed.only} is counted otherwise" if wrong and followed.alone else ""
-        if order is Order.TUNE:
+        if order is CommandKind.TUNE:
             ids = {r.tuning_id for r in active}
             return f"gains differ: {sorted(ids)}" if len(ids) > 1 else ""
         raise AssertionError(f"{order.name}: no truth is known of it")
@@ -390,7 +396,7 @@ class Invariants:
                 continue
             followed = self.followed[outcome.request]
             lost = any(self.in_reach_s(robot) < OVER_WITHIN_S for robot in outcome.waiting)
-            if outcome.order is Order.TUNE:
+            if outcome.order is CommandKind.TUNE:
                 # a change for the next lap waits while the formation holds; a robot that nobody hears must end it
                 flies = self.pool.mission.state in IN_FLIGHT | AT_REST
                 followed.waited_s += STEP_NS * 1e-9 if flies else 0.0
@@ -409,22 +415,22 @@ class Invariants:
         if mission.state in AT_REST:
             texts = [mission.reason, *preflight(self.pool.experiment, fleet)]
             for text in texts:
-                refused = rejection_reason(Order.CLEAR_STOP, mission.state)
+                refused = rejection_reason(CommandKind.CLEAR_STOP, mission.state)
                 assert "clear the stop" not in text or not refused, f"WAY OUT: {text!r}, but {refused}"
         if mission.state in TERMINAL:
-            refused = rejection_reason(Order.START, mission.state)
+            refused = rejection_reason(CommandKind.START, mission.state)
             assert not refused, f"WAY OUT: all rest, but {refused}"
         if mission.state in (MissionState.FAILED, MissionState.CANCELLED):
             assert mission.reason, f"REASON: {mission.state.name} without one"
         fit = [r for r in mission.roster.lost if r not in self.out and self.in_reach_s(r) > 1.0 and self._fit(r)]
         if fit and mission.state in NOMINAL | {MissionState.PAUSED} and not mission.segment.is_return:
-            refused = mission.objection(Order.REJOIN, fleet)
+            refused = mission.objection(CommandKind.REJOIN, fleet)
             assert not refused, f"WAY OUT: robot {fit[0]} is fit, but REJOIN: {refused}"
         well = all(self.in_reach_s(r) > 1.0 and self._fit(r) for r in mission.roster.active)
         idle = mission.state is MissionState.PAUSED and well and not self.pool.single.led
         self.paused_s = self.paused_s + STEP_NS * 1e-9 if idle else 0.0
         if self.paused_s > PAUSE_WITHIN_S:
-            refused = mission.objection(Order.RESUME, fleet)
+            refused = mission.objection(CommandKind.RESUME, fleet)
             assert not refused, f"WAY OUT: PAUSED, but RESUME: {refused}"
         waits = self.pool.core.tuner.status().stage is not GainStage.IDLE and mission.state in IN_FLIGHT | AT_REST
         self.waiting_gains_s = self.waiting_gains_s + STEP_NS * 1e-9 if waits else 0.0

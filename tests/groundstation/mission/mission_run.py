@@ -15,10 +15,10 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.messages.messages import (
     BoardReading,
     Command,
+    CommandKind,
     Control,
     Estimate,
     Mode,
-    Order,
     Pose,
     Reply,
     RobotState,
@@ -38,7 +38,7 @@ class ObedientRobot:
     mode: Mode = Mode.DISARMED
     loaded: str = ""
     loaded_next: str = ""  # under way
-    refuses: frozenset[Order] = frozenset()
+    refuses: frozenset[CommandKind] = frozenset()
     silent: bool = False
     hears: bool = False  # also when silent: nothing that it says arrives
     unknown: bool = False
@@ -62,21 +62,28 @@ class ObedientRobot:
         unheard = self.silent or self.unknown
         if (unheard and not self.hears) or command.order in self.refuses:
             return Reply(command.robot, False, "no answer" if unheard else "I refuse", silent=unheard)
-        if command.order is Order.HOLD and self.mode not in LIVE:
+        if command.order is CommandKind.HOLD and self.mode not in LIVE:
             return Reply(command.robot, False, "HOLD is not accepted")
-        leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
-                 Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED,
-                 Order.DRIVE: Mode.DRIVEN}  # fmt: skip
-        if command.order is Order.LOAD:
+        leads = {
+            CommandKind.ARM: Mode.ARMED,
+            CommandKind.START: Mode.TRACKING,
+            CommandKind.HOLD: Mode.HOLDING,
+            CommandKind.RESUME: Mode.TRACKING,
+            CommandKind.DISARM: Mode.DISARMED,
+            CommandKind.STOP: Mode.STOPPED,
+            CommandKind.CLEAR_STOP: Mode.DISARMED,
+            CommandKind.DRIVE: Mode.DRIVEN,
+        }
+        if command.order is CommandKind.LOAD:
             assert command.trajectory is not None
             if self.mode is Mode.TRACKING:
                 self.loaded_next = command.trajectory.id
             else:
                 self.loaded, self.trajectory_s = command.trajectory.id, command.trajectory.begin_s
-        if command.order is Order.SWITCH and self.loaded_next == command.trajectory_id:
+        if command.order is CommandKind.SWITCH and self.loaded_next == command.trajectory_id:
             self.loaded = command.trajectory_id
         self.mode = leads.get(command.order, self.mode)
-        if command.order in (Order.START, Order.RESUME):
+        if command.order in (CommandKind.START, CommandKind.RESUME):
             self.trajectory_s = command.trajectory_s + max(now_ns - command.start_ns, 0) * 1e-9
             self.starts_at_ns = command.start_ns
         return Reply(command.robot, not unheard, "no answer" if unheard else "", silent=unheard)

@@ -34,11 +34,11 @@ from shoal.messages.live_gains import tuning
 from shoal.messages.messages import (
     BoardReading,
     Command,
+    CommandKind,
     Control,
     DriveVelocity,
     Estimate,
     Mode,
-    Order,
     Pose,
     Reply,
     RobotState,
@@ -132,9 +132,9 @@ class SimulatedRobot:
         begin_ns = command.start_ns
         reason = reason or refusal(command.order, self.mode)
         reason = reason or self.clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, self.eta)
-        if not reason and command.order is Order.ARM and not self.board_works:
+        if not reason and command.order is CommandKind.ARM and not self.board_works:
             reason = "the thruster board was last heard 5.00 s ago"
-        if not reason and command.order is Order.ADOPT and command.tuning_id not in (self.tuning_id, self._ready):
+        if not reason and command.order is CommandKind.ADOPT and command.tuning_id not in (self.tuning_id, self._ready):
             reason = f"tuning {command.tuning_id} is not ready"
         if not reason:
             self._apply(command, station, begin_ns, stamp_ns, now_ns)
@@ -142,15 +142,15 @@ class SimulatedRobot:
 
     def _apply(self, command: Command, station: StationView, begin_ns: int, stamp_ns: int, now_ns: int) -> None:
         self.clock.apply(command, self.mode is Mode.TRACKING, station, begin_ns)
-        if command.order is Order.TEST:
+        if command.order is CommandKind.TEST:
             self.test, self._test_until_ns = "running", now_ns + TEST_NS
-        if command.order is Order.TUNE and command.tuning is not None:
+        if command.order is CommandKind.TUNE and command.tuning is not None:
             self._ready = command.tuning.id
-        if command.order is Order.ADOPT:
+        if command.order is CommandKind.ADOPT:
             at_ns = stamp_ns + round(command.start_in_s * 1e9)
             same = command.tuning_id == self.tuning_id
             self._adoption = None if same else _Adoption(command.tuning_id, at_ns, command.trajectory_s)
-        if command.order is Order.DRIVE and command.drive is not None:
+        if command.order is CommandKind.DRIVE and command.drive is not None:
             self._drive = command.drive, stamp_ns
         target = ORDERS[command.order].to
         if target is not None:

@@ -11,7 +11,7 @@ from groundstation.mission.gain_update import AGAIN_S, PATIENCE_S, GainStage, Ga
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import RobotView
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Command, Mode, Order, Reply, RobotState
+from shoal.messages.messages import Command, CommandKind, Mode, Reply, RobotState
 
 EXPERIMENT = load_experiment("pool", ["path.lap_s=25", "duration_s=100"])
 KEY, VALUE = "controller.nmpc.turning_m", 0.2
@@ -26,8 +26,8 @@ class GainRobot:
     mode: Mode = Mode.TRACKING
     in_reach: bool = True
     trajectory_s: float = 10.0
-    refuses: frozenset[Order] = frozenset()
-    mute: frozenset[Order] = frozenset()  # the order does not arrive
+    refuses: frozenset[CommandKind] = frozenset()
+    mute: frozenset[CommandKind] = frozenset()  # the order does not arrive
     forgets: bool = False  # accepts, and does not change over
     ready: str = ""
     adopts_at_s: float = float("inf")
@@ -39,7 +39,7 @@ class GainRobot:
             return Reply(command.robot, False, "whatever a bus may say of silence", silent=True)
         if command.order in self.refuses:
             return Reply(command.robot, False, "no answer that I like")  # the words are no verdict
-        if command.order is Order.TUNE:
+        if command.order is CommandKind.TUNE:
             self.ready = command.tuning_id
         elif not self.forgets:
             self.adopts_at_s = now_s + command.start_in_s
@@ -92,7 +92,7 @@ class TunedFleet:
     def flown(self) -> set[str]:
         return {robot.tuning_id for robot in self.robots.values()}
 
-    def orders(self, robot: int = 2) -> list[Order]:
+    def orders(self, robot: int = 2) -> list[CommandKind]:
         return [command.order for _, command in self.robots[robot].got]
 
 
@@ -104,19 +104,19 @@ def test_all_check_then_all_change_over_at_one_instant() -> None:
     assert fleet.flown == {wanted}
     status = fleet.tuner.status()
     assert (status.stage, status.flown.id, status.reason, status.undo) == (GainStage.IDLE, wanted, "", True)
-    assert fleet.orders() == [Order.TUNE, Order.ADOPT]
+    assert fleet.orders() == [CommandKind.TUNE, CommandKind.ADOPT]
     assert [t.id for t in fleet.tuner.take_unlogged()] == [fleet.first, wanted]
     assert fleet.tuner.take_unlogged() == []
 
 
 def test_an_instant_that_one_robot_hears_of_late_is_the_same_instant() -> None:
     fleet = TunedFleet()
-    fleet.robots[2].mute = frozenset({Order.ADOPT})
+    fleet.robots[2].mute = frozenset({CommandKind.ADOPT})
     fleet.request()
     fleet.step(0.3)
     fleet.robots[2].mute = frozenset()
     fleet.step(0.3)
-    times = {r: {t + c.start_in_s for t, c in robot.got if c.order is Order.ADOPT} for r, robot in fleet.robots.items()}
+    times = {r: {t + c.start_in_s for t, c in robot.got if c.order is CommandKind.ADOPT} for r, robot in fleet.robots.items()}
     instants = sorted(times[1] | times[2])
     assert len(times[2]) == 2
     assert instants[-1] - instants[0] < 1e-6
@@ -125,10 +125,10 @@ def test_an_instant_that_one_robot_hears_of_late_is_the_same_instant() -> None:
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (lambda r: replace(r, refuses=frozenset({Order.TUNE})), "robot 2 refuses: no answer that I like; nothing"),
-        (lambda r: replace(r, mute=frozenset({Order.TUNE})), "robot 2 does not answer; nothing was changed"),
-        (lambda r: replace(r, refuses=frozenset({Order.ADOPT})), "robot 2 refuses: no answer that I like; the others"),
-        (lambda r: replace(r, mute=frozenset({Order.ADOPT})), "robot 2 does not answer; the others go back"),
+        (lambda r: replace(r, refuses=frozenset({CommandKind.TUNE})), "robot 2 refuses: no answer that I like; nothing"),
+        (lambda r: replace(r, mute=frozenset({CommandKind.TUNE})), "robot 2 does not answer; nothing was changed"),
+        (lambda r: replace(r, refuses=frozenset({CommandKind.ADOPT})), "robot 2 refuses: no answer that I like; the others"),
+        (lambda r: replace(r, mute=frozenset({CommandKind.ADOPT})), "robot 2 does not answer; the others go back"),
         (lambda r: replace(r, forgets=True), "robot 2 did not change over; the others go back"),
     ],
     ids=[
@@ -159,20 +159,20 @@ def test_the_change_back_that_is_not_followed_either_says_that_gains_may_differ(
     fleet.robots[2].forgets = True
     fleet.request()
     fleet.step(1.0)
-    fleet.robots[1].mute = frozenset({Order.TUNE, Order.ADOPT})
+    fleet.robots[1].mute = frozenset({CommandKind.TUNE, CommandKind.ADOPT})
     fleet.step(3 * (PATIENCE_S + START_IN_S))
     assert fleet.tuner.status().reason == "robot 1 does not answer; the fleet's gains may differ"
 
 
 def test_an_unanswered_command_is_sent_again_after_its_period() -> None:
     fleet = TunedFleet()
-    fleet.robots[2].mute = frozenset({Order.TUNE})
+    fleet.robots[2].mute = frozenset({CommandKind.TUNE})
     fleet.request()
     fleet.step(PATIENCE_S)
-    times = [t for t, c in fleet.robots[2].got if c.order is Order.TUNE]
+    times = [t for t, c in fleet.robots[2].got if c.order is CommandKind.TUNE]
     assert min(b - a for a, b in pairwise(times)) >= RETRY_S - 1e-6
     assert len(times) >= 0.8 * PATIENCE_S / RETRY_S
-    assert len([c for _, c in fleet.robots[1].got if c.order is Order.TUNE]) == 1  # who has answered is left alone
+    assert len([c for _, c in fleet.robots[1].got if c.order is CommandKind.TUNE]) == 1  # who has answered is left alone
 
 
 def test_gains_for_the_next_lap_wait_for_it_and_can_be_cancelled() -> None:
@@ -180,7 +180,7 @@ def test_gains_for_the_next_lap_wait_for_it_and_can_be_cancelled() -> None:
     assert fleet.request(next_lap=True) == ""
     fleet.step(1.0)
     assert fleet.tuner.status().stage is GainStage.WAITING
-    assert {c.trajectory_s for _, c in fleet.robots[1].got if c.order is Order.ADOPT} == {25.0}
+    assert {c.trajectory_s for _, c in fleet.robots[1].got if c.order is CommandKind.ADOPT} == {25.0}
     fleet.step(1.0)
     assert fleet.flown == {fleet.first}
     assert fleet.undo() == ""
@@ -255,7 +255,7 @@ def test_a_late_reply_about_another_gain_set_is_ignored() -> None:
     fleet = TunedFleet()
     fleet.request()
     fleet.step(STEP_S)
-    wrong = CommandResult(Command(Order.TUNE, 2, tuning_id="another"), Reply(2, False, "I cannot"))
+    wrong = CommandResult(Command(CommandKind.TUNE, 2, tuning_id="another"), Reply(2, False, "I cannot"))
     fleet.answers.append(wrong)
     fleet.step(1.0)
     assert fleet.flown == {fleet.tuner.status().flown.id} != {fleet.first}

@@ -25,7 +25,7 @@ from groundstation.mission.state_machine import (
     order_named,
     rejection_reason,
 )
-from shoal.messages.messages import DriveVelocity, Mode, Order
+from shoal.messages.messages import CommandKind, DriveVelocity, Mode
 from tests.groundstation.mission.invariants import STOPPED_WITHIN_S, Invariants
 from tests.groundstation.mission.judged_run import RunRecord
 from tests.groundstation.mission.simulated_fleet import (
@@ -45,7 +45,7 @@ KEY = "controller.nmpc.turning_m"
 PLACES_M = ((0.0, 1.9), (2.6, 1.6), (-2.6, -1.6), (2.4, -1.2))
 MIDDLES_M = ((0.8, 0.4), (-0.8, 0.4), (1.4, -0.6), (-1.2, -0.8))  # for the formation's centre
 OUTAGES_S = (0.1, 0.4, 1.0, 2.5, 5.0, 20.0)
-ENDS = (Order.DISARM, Order.END, Order.STOP)
+ENDS = (CommandKind.DISARM, CommandKind.END, CommandKind.STOP)
 FLEET_ORDERS = [order_named(name) for name in FLEET_REQUESTS]
 SAMPLED = 12  # one in so many arrivals in a state of the mission is followed by a STOP, beside what goes on
 
@@ -65,11 +65,13 @@ class Interruptions(RuleBasedStateMachine):
         robots=st.sampled_from((THREE, TWO)),
         path=st.sampled_from((CIRCLE, PLACES)),
         automatic=st.booleans(),
-        begins=st.sampled_from((Order.START, Order.TEST, Order.NONE)),
+        begins=st.sampled_from((CommandKind.START, CommandKind.TEST, CommandKind.NONE)),
         leaves=st.booleans(),
         speed_mps=st.sampled_from((SPEED_MPS, 0.05)),
     )
-    def begin(self, lost: str, robots: str, path: str, automatic: bool, begins: Order, leaves: bool, speed_mps: float) -> None:
+    def begin(
+        self, lost: str, robots: str, path: str, automatic: bool, begins: CommandKind, leaves: bool, speed_mps: float
+    ) -> None:
         self.pool = SimulatedFleet(an_experiment(lost, robots, path), automatic, give_up_s=40.0 if automatic else None)
         self.watched = Invariants(self.pool)
         self.record = RunRecord(self.pool)
@@ -80,7 +82,7 @@ class Interruptions(RuleBasedStateMachine):
         self.pool.robots[1].speed_mps = speed_mps
         self.figures["examples"] += 1
         self.pool.run(1.0)
-        if begins is not Order.NONE and not automatic:
+        if begins is not CommandKind.NONE and not automatic:
             self.ask("script", begins, 0)
             self.pool.run(6.0)
 
@@ -89,13 +91,13 @@ class Interruptions(RuleBasedStateMachine):
         """Count a request, a mishap or a wait."""
         self.figures["steps"] += 1
 
-    def ask(self, who: str, order: Order, robot: int, place_m: tuple[float, float] | None = None) -> str:
+    def ask(self, who: str, order: CommandKind, robot: int, place_m: tuple[float, float] | None = None) -> str:
         """A request of `who`. Returns the reason of a refusal."""
         pool = self.pool
         before = pool.mission.state
         refused, number = pool.core.request(order, pool.fleet, pool.now_ns, (place_m,) if place_m else (), robot)
         assert bool(number) is not bool(refused), f"ANSWER: {order.name} of {who}: number {number}, {refused!r}"
-        assert not refused or order is not Order.STOP, f"STOP: refused in {before.name}: {refused}"
+        assert not refused or order is not CommandKind.STOP, f"STOP: refused in {before.name}: {refused}"
         if number:
             self.watched.begin(number, order, robot, place_m)
         if number and before in TERMINAL | {MissionState.WAITING}:
@@ -120,7 +122,7 @@ class Interruptions(RuleBasedStateMachine):
         """A person presses STOP: it is taken, and every robot that can hear stops."""
         pool.on_cycle, pool.on_beat, pool.on_state = lambda: None, lambda beat: None, lambda robot, state, arrives: None
         state = pool.mission.state.name
-        refused, _ = pool.core.request(Order.STOP, pool.fleet, pool.now_ns)
+        refused, _ = pool.core.request(CommandKind.STOP, pool.fleet, pool.now_ns)
         assert not refused, f"STOP: refused in {state}: {refused}"
         hearing = [r for r in pool.robots.values() if r.alive and r.radio.deaf_until_ns <= pool.now_ns]
         pool.run(STOPPED_WITHIN_S)
@@ -130,7 +132,7 @@ class Interruptions(RuleBasedStateMachine):
     # --- requests
 
     @rule(who=st.sampled_from(PEOPLE), order=st.sampled_from(FLEET_ORDERS))
-    def request(self, who: str, order: Order) -> None:
+    def request(self, who: str, order: CommandKind) -> None:
         """Any request, possible or not."""
         self.ask(who, order, 0)
 
@@ -144,23 +146,27 @@ class Interruptions(RuleBasedStateMachine):
 
     @rule(who=st.sampled_from(PEOPLE), seconds=st.sampled_from((0.1, 2.0)))
     def hold_and_resume(self, who: str, seconds: float) -> None:
-        self.ask(who, Order.HOLD, 0)
+        self.ask(who, CommandKind.HOLD, 0)
         self.pool.run(seconds)
-        self.ask(who, Order.RESUME, 0)
+        self.ask(who, CommandKind.RESUME, 0)
 
     @rule(who=st.sampled_from(PEOPLE), place_m=st.sampled_from(MIDDLES_M))
     def lead_elsewhere(self, who: str, place_m: tuple[float, float]) -> None:
         """Another path for the whole formation."""
-        self.ask(who, Order.GO, 0, place_m)
+        self.ask(who, CommandKind.GO, 0, place_m)
 
-    @rule(who=st.sampled_from(PEOPLE), order=st.sampled_from((Order.ARM, Order.HOLD, Order.DISARM)), k=st.integers(0, 2))
-    def request_of_one(self, who: str, order: Order, k: int) -> None:
+    @rule(
+        who=st.sampled_from(PEOPLE),
+        order=st.sampled_from((CommandKind.ARM, CommandKind.HOLD, CommandKind.DISARM)),
+        k=st.integers(0, 2),
+    )
+    def request_of_one(self, who: str, order: CommandKind, k: int) -> None:
         self.ask(who, order, self.ids[k % len(self.ids)])
 
     @rule(who=st.sampled_from(PEOPLE), place_m=st.sampled_from(PLACES_M), k=st.integers(0, 2))
     def send_one(self, who: str, place_m: tuple[float, float], k: int) -> None:
         """Send a robot to a place; one that is disarmed is armed first."""
-        self.ask(who, Order.GO, self.arm_one(who, k), place_m)
+        self.ask(who, CommandKind.GO, self.arm_one(who, k), place_m)
 
     @rule(who=st.sampled_from(PEOPLE), place_m=st.sampled_from(PLACES_M), k=st.integers(0, 2))
     def send_one_unseen(self, who: str, place_m: tuple[float, float], k: int) -> None:
@@ -174,24 +180,24 @@ class Interruptions(RuleBasedStateMachine):
     def take_robot_out(self, who: str, k: int, switched_off: bool) -> None:
         """Take a robot out of the water, disarmed where people can, switched off or as it is."""
         robot = self.ids[k % len(self.ids)]
-        if not self.ask(who, Order.DISARM, robot):
+        if not self.ask(who, CommandKind.DISARM, robot):
             self.pool.run(0.5)
-        if not self.ask(who, Order.OUT, robot) and switched_off:
+        if not self.ask(who, CommandKind.OUT, robot) and switched_off:
             self.pool.robots[robot].alive = False
 
     @rule(who=st.sampled_from(PEOPLE), k=st.integers(0, 2))
     def note_robot_out(self, who: str, k: int) -> None:
         """Say of a robot, whatever it does, that it is out of the water."""
-        self.ask(who, Order.OUT, self.ids[k % len(self.ids)])
+        self.ask(who, CommandKind.OUT, self.ids[k % len(self.ids)])
 
     @rule(who=st.sampled_from(PEOPLE), k=st.integers(0, 2))
     def put_robot_back(self, who: str, k: int) -> None:
-        self.ask(who, Order.BACK_IN, self.ids[k % len(self.ids)])
+        self.ask(who, CommandKind.BACK_IN, self.ids[k % len(self.ids)])
 
     def arm_one(self, who: str, k: int) -> int:
         """Arm a robot that is disarmed. Returns its id."""
         robot = self.ids[k % len(self.ids)]
-        if self.pool.robots[robot].mode is Mode.DISARMED and not self.ask(who, Order.ARM, robot):
+        if self.pool.robots[robot].mode is Mode.DISARMED and not self.ask(who, CommandKind.ARM, robot):
             self.pool.run(0.5)
         return robot
 
@@ -213,7 +219,7 @@ class Interruptions(RuleBasedStateMachine):
         pool, values = self.pool, None if value is None else {KEY: value}
         _, number = pool.core.request_gains(values, next_lap, pool.fleet, pool.now_ns)
         if number:
-            self.watched.begin(number, Order.TUNE)
+            self.watched.begin(number, CommandKind.TUNE)
 
     @rule(who=st.sampled_from(PEOPLE))
     def fly(self, who: str) -> None:
@@ -222,9 +228,9 @@ class Interruptions(RuleBasedStateMachine):
             return
         self.mend()
         self.pool.run(1.0)
-        if self.pool.mission.state is MissionState.STOPPED and not self.ask(who, Order.CLEAR_STOP, 0):
+        if self.pool.mission.state is MissionState.STOPPED and not self.ask(who, CommandKind.CLEAR_STOP, 0):
             self.pool.run(1.0)
-        for order in (Order.RESUME, Order.START, Order.RETURN):
+        for order in (CommandKind.RESUME, CommandKind.START, CommandKind.RETURN):
             if not self.ask(who, order, 0):
                 self.pool.run(5.0)
                 break
@@ -242,9 +248,9 @@ class Interruptions(RuleBasedStateMachine):
         """STOP, and clear the stop, while a robot is out of radio: it comes back as it was."""
         self.lose_radio(seconds, k, "both")
         self.pool.run(0.5 * seconds)
-        self.ask(who, Order.STOP, 0)
+        self.ask(who, CommandKind.STOP, 0)
         self.pool.run(0.3 * seconds)
-        self.ask(who, Order.CLEAR_STOP, 0)
+        self.ask(who, CommandKind.CLEAR_STOP, 0)
 
     @rule(delay_s=st.sampled_from((0.02, 0.1, 0.3)), k=st.integers(0, 2))
     def be_late(self, delay_s: float, k: int) -> None:
@@ -323,7 +329,7 @@ class Interruptions(RuleBasedStateMachine):
             if not pool.core.come_to_rest(pool.fleet, pool.now_ns):
                 break
             pool.step()
-        self.ask("terminal", Order.END, 0)
+        self.ask("terminal", CommandKind.END, 0)
         pool.run(2.0)
         left = [f"robot {r.id} is {r.mode.name}" for r in pool.robots.values() if armed(r)]
         assert not left, f"LEAVES: {'; '.join(left)}, the mission {pool.mission.state.name}"
@@ -332,17 +338,17 @@ class Interruptions(RuleBasedStateMachine):
         """Requests that the station itself names lead from any state to a fleet that returns and ends."""
         pool = self.pool
         if pool.mission.state is not MissionState.STOPPED:
-            assert self.ask("page A", Order.STOP, 0) == ""
+            assert self.ask("page A", CommandKind.STOP, 0) == ""
             pool.run(3.0)
-        refused = self.ask("page A", Order.CLEAR_STOP, 0)
+        refused = self.ask("page A", CommandKind.CLEAR_STOP, 0)
         assert refused == "", f"RECOVERY: CLEAR_STOP: {refused}"
         pool.run(3.0)
         assert {r.mode for r in pool.robots.values()} == {Mode.DISARMED}, "RECOVERY: not all are disarmed"
         for robot in sorted(self.watched.out):
-            refused = self.ask("page A", Order.BACK_IN, robot)
+            refused = self.ask("page A", CommandKind.BACK_IN, robot)
             assert refused == "", f"RECOVERY: BACK_IN: {refused}"
         pool.run(0.1)
-        refused = self.ask("page A", Order.RETURN, 0)
+        refused = self.ask("page A", CommandKind.RETURN, 0)
         for _ in range(150):
             pool.run(1.0)
             if pool.mission.state in TERMINAL:

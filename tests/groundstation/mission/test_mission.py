@@ -14,7 +14,7 @@ from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import first_lost_robot, preflight
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import Mode, Order, Trajectory
+from shoal.messages.messages import CommandKind, Mode, Trajectory
 from tests.groundstation.mission.mission_run import STEP_NS, MissionRun
 from tests.groundstation.mission.simulated_fleet import SimulatedFleet
 
@@ -32,15 +32,15 @@ def test_an_automatic_mission_goes_from_waiting_to_done() -> None:
     ]
     assert run.states == flown
     for robot in run.robots.values():
-        assert [c.order for c in robot.got] == [Order.LOAD, Order.ARM, Order.START, Order.DISARM]
+        assert [c.order for c in robot.got] == [CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.DISARM]
         assert all(c.experiment_hash == run.experiment.hash for c in robot.got)
     assert run.mission.state is MissionState.DONE
 
 
 def test_robots_start_at_one_instant_though_one_needs_a_second_order() -> None:
     run = MissionRun()
-    run.robots[2].refuses = frozenset({Order.START})
-    while not run.robots[1].got or run.robots[1].got[-1].order is not Order.START:
+    run.robots[2].refuses = frozenset({CommandKind.START})
+    while not run.robots[1].got or run.robots[1].got[-1].order is not CommandKind.START:
         run.step()
     run.step(0.1)
     run.robots[2].refuses = frozenset()
@@ -77,7 +77,7 @@ def test_another_experiment_on_a_robot_is_refused() -> None:
 
 def test_an_order_never_obeyed_fails_the_mission_and_disarms_all() -> None:
     run = MissionRun()
-    run.robots[1].refuses = frozenset({Order.ARM})
+    run.robots[1].refuses = frozenset({CommandKind.ARM})
     run.step(PATIENCE_S + 2.0)
     assert run.at(MissionState.FAILED)
     assert run.states[-2:] == [MissionState.ABORTING, MissionState.FAILED]
@@ -108,7 +108,7 @@ def test_a_robot_that_holds_makes_all_hold_and_all_go_on_from_one_place() -> Non
     assert {r.mode for r in run.robots.values()} == {Mode.HOLDING}
     run.step(1.5)
     resumes = [robot.got[-1] for robot in run.robots.values()]
-    assert [c.order for c in resumes] == [Order.RESUME, Order.RESUME]
+    assert [c.order for c in resumes] == [CommandKind.RESUME, CommandKind.RESUME]
     assert resumes[0].trajectory_s == resumes[1].trajectory_s >= 0.5
     run.step(4.0)
     assert run.at(MissionState.DONE)
@@ -132,10 +132,10 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     run = MissionRun()
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(5.0)
     assert run.at(MissionState.PAUSED)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(4.0)
     assert run.at(MissionState.DONE)
 
@@ -145,15 +145,15 @@ def test_a_start_that_is_held_begins_at_the_beginning_after_an_earlier_flight_of
     run = running(automatic=False)
     while run.robots[1].trajectory_s < 1.0:
         run.step()
-    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(1.0)
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     while not run.at(MissionState.STARTING):
         run.step()
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.PAUSED) and run.mission.plans.progress_s == 0.0
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert [robot.got[-1].trajectory_s for robot in run.robots.values()] == [0.0, 0.0]
 
@@ -173,7 +173,7 @@ def test_a_mission_that_holds_for_ever_fails_with_its_reason_where_nobody_attend
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, "no way round"
-    run.robots[1].refuses = run.robots[2].refuses = frozenset({Order.RESUME})
+    run.robots[1].refuses = run.robots[2].refuses = frozenset({CommandKind.RESUME})
     run.step(4.0)
     assert run.mission.state not in TERMINAL
     run.step(8.0)
@@ -186,7 +186,7 @@ def test_a_mission_that_a_person_attends_or_that_goes_on_is_not_given_up() -> No
     attended = MissionRun(give_up_s=1.0)
     while attended.mission.state is not MissionState.RUNNING:
         attended.step()
-    assert attended.mission.request(Order.HOLD, attended.fleet(), attended.now_ns) == ""
+    assert attended.mission.request(CommandKind.HOLD, attended.fleet(), attended.now_ns) == ""
     attended.step(5.0)
     assert attended.at(MissionState.PAUSED)
     goes_on = MissionRun(give_up_s=1.0)
@@ -196,18 +196,18 @@ def test_a_mission_that_a_person_attends_or_that_goes_on_is_not_given_up() -> No
 
 def test_stop_is_latched_on_every_robot_until_cleared() -> None:
     run = MissionRun(automatic=False)
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.RUNNING)
-    run.robots[2].refuses = frozenset({Order.STOP})
-    assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.robots[2].refuses = frozenset({CommandKind.STOP})
+    assert run.mission.request(CommandKind.STOP, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.in_mode(1, Mode.STOPPED)
     run.robots[2].refuses = frozenset()
     run.step(0.5)  # asked again and again
     assert run.in_mode(2, Mode.STOPPED)
-    assert "only when" in run.mission.request(Order.START, run.fleet(), run.now_ns)
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    assert "only when" in run.mission.request(CommandKind.START, run.fleet(), run.now_ns)
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.WAITING)
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
@@ -218,13 +218,13 @@ def test_an_automatic_mission_waits_for_a_request_after_a_cleared_stop() -> None
     run = MissionRun()
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.STOP, run.fleet(), run.now_ns) == ""
     run.step(1.0)
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(5.0)
     assert run.at(MissionState.WAITING)
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(6.0)
     assert run.at(MissionState.DONE)
 
@@ -251,17 +251,17 @@ def test_with_policy_hold_a_robot_that_first_holds_and_then_fails_keeps_the_othe
     assert run.at(MissionState.PAUSED)
     assert run.mission.reason == "robot 2: fault (no pose)"
     assert {run.robots[r].mode for r in (1, 3)} == {Mode.HOLDING}
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.DEGRADED)
 
 
 def test_with_policy_hold_a_robot_lost_while_all_resume_makes_the_others_hold_again() -> None:
     run = three_running("hold")
-    run.mission.request(Order.HOLD, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
     run.step(0.5)
-    run.robots[2].refuses = frozenset({Order.RESUME})
-    run.mission.request(Order.RESUME, run.fleet(), run.now_ns)
+    run.robots[2].refuses = frozenset({CommandKind.RESUME})
+    run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns)
     run.step(0.5)
     assert run.at(MissionState.RESUMING)
     run.robots[2].silent = True
@@ -284,13 +284,13 @@ def test_a_robot_that_was_silent_and_flies_on_is_held(policy: str) -> None:
 
 def test_a_gap_stays_open_until_an_operator_resumes_the_held_robots() -> None:
     run = three_running("close-up")
-    run.mission.request(Order.HOLD, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
     run.step(0.5)
     run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
     run.step(3.0)
     assert run.at(MissionState.PAUSED)
     assert run.mission.reason == "robot 2: fault (no pose)"
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     assert run.at(MissionState.HALTING)
     assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
@@ -301,24 +301,24 @@ def test_a_thruster_test_after_a_run_includes_its_lost_robot() -> None:
     run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "thrusters do not do as told"
     run.step(0.5)
     assert run.mission.roster.lost
-    run.mission.request(Order.DISARM, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns)
     run.step(1.0)
     run.robots[2].fault = ""
-    assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.TESTING)
-    assert [robot.got[-1].order for robot in run.robots.values()] == [Order.TEST] * 3
+    assert [robot.got[-1].order for robot in run.robots.values()] == [CommandKind.TEST] * 3
 
 
 def test_a_way_home_asked_for_while_a_detour_is_planned_is_not_that_detour() -> None:
     run = MissionRun(settings=['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'])
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    assert run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
+    assert run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
     run.step()
     replan = run.mission.plan_request
     assert replan is not None
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     assert run.mission.plan_request is None
     run.step(0.5)
     assert run.at(MissionState.HALTING)
@@ -333,9 +333,9 @@ def test_a_place_outside_the_pool_is_refused_before_anybody_leaves_the_path() ->
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     places = [(1.0, 1.0), (0.0, 1.3)]
-    assert run.mission.request(Order.GO, run.fleet(), run.now_ns, places) == "(0, 1.3) m is outside the pool"
+    assert run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, places) == "(0, 1.3) m is outside the pool"
     assert run.at(MissionState.RUNNING)
-    assert run.mission.request(Order.GO, run.fleet(), run.now_ns, places[:1]) == ""
+    assert run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, places[:1]) == ""
 
 
 def test_robots_that_an_earlier_station_stopped_are_cleared_by_the_order_that_preflight_asks_for() -> None:
@@ -343,7 +343,7 @@ def test_robots_that_an_earlier_station_stopped_are_cleared_by_the_order_that_pr
     run.robots[2].mode, run.robots[2].fault = Mode.STOPPED, "emergency stop"
     run.step(1.0)
     assert "(clear the stop)" in run.mission.reason
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.WAITING)
     assert run.in_mode(2, Mode.DISARMED)
@@ -354,16 +354,16 @@ def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     run.step(3.0)
     assert all(robot.got == [] for robot in run.robots.values())
     run.robots[1].silent = True
-    assert "robot 1: not heard" in run.mission.request(Order.START, run.fleet(), run.now_ns)
+    assert "robot 1: not heard" in run.mission.request(CommandKind.START, run.fleet(), run.now_ns)
     run.robots[1].silent = False
-    assert run.mission.request(Order.LOAD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.LOAD, run.fleet(), run.now_ns) == ""
     run.step(1.0)
-    assert [c.order for c in run.robots[1].got] == [Order.LOAD]
-    assert run.mission.request(Order.ARM, run.fleet(), run.now_ns) == ""
+    assert [c.order for c in run.robots[1].got] == [CommandKind.LOAD]
+    assert run.mission.request(CommandKind.ARM, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.in_mode(1, Mode.ARMED)
     assert run.at(MissionState.ARMING)
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.in_mode(1, Mode.TRACKING)
 
@@ -371,7 +371,7 @@ def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
 def test_a_robot_lost_before_the_start_aborts_it_with_its_reason() -> None:
     """Not ten seconds of orders that it cannot follow, and then what it said to the last of them."""
     run = MissionRun()
-    run.robots[2].refuses = frozenset({Order.START})
+    run.robots[2].refuses = frozenset({CommandKind.START})
     while not run.at(MissionState.STARTING):
         run.step()
     run.step(0.2)
@@ -387,8 +387,8 @@ def test_a_robot_lost_before_the_start_aborts_it_with_its_reason() -> None:
 @pytest.mark.parametrize("state", [MissionState.ARMING, MissionState.STARTING])
 def test_a_robot_that_was_armed_and_restarts_before_the_start_is_not_armed_again(state: MissionState) -> None:
     run = MissionRun(automatic=False)
-    run.robots[1].refuses = frozenset({Order.START})
-    order = Order.ARM if state is MissionState.ARMING else Order.START
+    run.robots[1].refuses = frozenset({CommandKind.START})
+    order = CommandKind.ARM if state is MissionState.ARMING else CommandKind.START
     assert run.mission.request(order, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(state)
@@ -397,29 +397,29 @@ def test_a_robot_that_was_armed_and_restarts_before_the_start_is_not_armed_again
     assert run.at(MissionState.ABORTING) and run.mission.reason == "robot 2: disarmed"
     run.step(0.5)
     assert run.at(MissionState.FAILED) and {r.mode for r in run.robots.values()} == {Mode.DISARMED}
-    assert [c.order for c in run.robots[2].got].count(Order.ARM) == 1
+    assert [c.order for c in run.robots[2].got].count(CommandKind.ARM) == 1
 
 
 @pytest.mark.parametrize(
     ("order", "before", "lost"),
     [
-        (Order.TEST, Mode.ARMED, "abort"),
-        (Order.TEST, Mode.DISARMED, "abort"),
-        (Order.ARM, Mode.ARMED, "abort"),
-        (Order.RETURN, Mode.DISARMED, "hold"),
+        (CommandKind.TEST, Mode.ARMED, "abort"),
+        (CommandKind.TEST, Mode.DISARMED, "abort"),
+        (CommandKind.ARM, Mode.ARMED, "abort"),
+        (CommandKind.RETURN, Mode.DISARMED, "hold"),
     ],
 )
 def test_a_robot_that_is_armed_and_restarts_is_not_armed_again_for_the_same_request(
-    order: Order, before: Mode, lost: str
+    order: CommandKind, before: Mode, lost: str
 ) -> None:
     """Robot 2 is not armed yet when robot 1 restarts, whichever of the two requests it was armed for."""
     run = MissionRun(False, [f'mission.lost="{lost}"'])
     run.step(0.2)
-    run.robots[1].mode, run.robots[2].refuses = before, frozenset({Order.ARM})
+    run.robots[1].mode, run.robots[2].refuses = before, frozenset({CommandKind.ARM})
     run.step(0.2)
     assert run.mission.request(order, run.fleet(), run.now_ns) == ""
     run.step(0.5)
-    if order is Order.RETURN:
+    if order is CommandKind.RETURN:
         run.mission.planned(replace(next_leg(run, 4.0), is_return=True), run.fleet(), run.now_ns)
     run.step(0.5)
     assert run.mission.state in (MissionState.TEST_ARMING, MissionState.ARMING, MissionState.REARMING)
@@ -427,20 +427,20 @@ def test_a_robot_that_is_armed_and_restarts_is_not_armed_again_for_the_same_requ
     run.robots[1].mode, run.robots[1].loaded = Mode.DISARMED, ""
     run.robots[1].got.clear()
     run.step(2.0)
-    assert Order.ARM not in [c.order for c in run.robots[1].got]
+    assert CommandKind.ARM not in [c.order for c in run.robots[1].got]
     assert run.robots[1].mode is Mode.DISARMED
 
 
 def test_a_robot_that_restarts_before_anybody_hears_that_it_was_armed_is_not_armed_again() -> None:
     run = MissionRun(False)
-    run.robots[2].refuses = frozenset({Order.ARM})
+    run.robots[2].refuses = frozenset({CommandKind.ARM})
     run.step(0.2)
-    assert run.mission.request(Order.ARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.ARM, run.fleet(), run.now_ns) == ""
     while run.robots[1].mode is not Mode.ARMED:
         run.step()
     run.robots[1].mode, run.robots[1].loaded = Mode.DISARMED, ""
     run.step(1.0)
-    assert [c.order for c in run.robots[1].got].count(Order.ARM) == 1
+    assert [c.order for c in run.robots[1].got].count(CommandKind.ARM) == 1
 
 
 def test_a_robot_that_was_disarmed_just_before_a_request_is_armed_for_it() -> None:
@@ -448,8 +448,8 @@ def test_a_robot_that_was_disarmed_just_before_a_request_is_armed_for_it() -> No
     run = MissionRun(False)
     run.step(1.0)
     run.robots[1].mode, run.robots[1].age_s = Mode.ARMED, 0.25
-    run.robots[1].refuses = run.robots[2].refuses = frozenset({Order.LOAD})
-    assert run.mission.request(Order.ARM, run.fleet(), run.now_ns) == ""
+    run.robots[1].refuses = run.robots[2].refuses = frozenset({CommandKind.LOAD})
+    assert run.mission.request(CommandKind.ARM, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     run.robots[1].mode, run.robots[1].age_s = Mode.DISARMED, 0.02
     run.robots[1].refuses = run.robots[2].refuses = frozenset()
@@ -465,7 +465,7 @@ def test_rejoin_is_refused_while_the_others_return() -> None:
 
     def why_not(segment: PlanSegment) -> str:
         run.mission.plans.segment = segment
-        return run.mission.objection(Order.REJOIN, run.fleet())
+        return run.mission.objection(CommandKind.REJOIN, run.fleet())
 
     outward, home = run.mission.segment, replace(run.mission.segment, is_return=True)
     assert "way back" in why_not(home)
@@ -480,7 +480,7 @@ def test_rejoin_is_refused_while_the_others_return() -> None:
 def running(settings: Sequence[str] = (), automatic: bool = True) -> MissionRun:
     run = MissionRun(automatic, ["duration_s=60", *settings])
     if not automatic:
-        assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+        assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     run.step(1.0)
@@ -489,14 +489,14 @@ def running(settings: Sequence[str] = (), automatic: bool = True) -> MissionRun:
 
 def test_a_second_start_names_the_same_instant_as_the_first() -> None:
     run = MissionRun()
-    run.robots[2].refuses = frozenset({Order.START})
+    run.robots[2].refuses = frozenset({CommandKind.START})
     while not run.at(MissionState.STARTING):
         run.step()
     run.step(1.2)
     run.robots[2].refuses = frozenset()
     run.step(0.5)
     assert run.at(MissionState.RUNNING)
-    (first,), several = ([c for c in r.got if c.order is Order.START] for r in run.robots.values())
+    (first,), several = ([c for c in r.got if c.order is CommandKind.START] for r in run.robots.values())
     assert len(several) > 3 and {(c.start_ns, c.trajectory_s) for c in several} == {(first.start_ns, first.trajectory_s)}
     assert abs(run.robots[1].trajectory_s - run.robots[2].trajectory_s) < 0.06
 
@@ -516,7 +516,7 @@ def test_a_robot_out_of_step_makes_all_hold_and_all_go_on_from_where_the_others_
     run.step(2.0)
     assert run.at(MissionState.RUNNING) and run.mission.reason == ""
     resumed = [r.got[-1] for r in run.robots.values()]
-    assert [c.order for c in resumed] == [Order.RESUME] * 2
+    assert [c.order for c in resumed] == [CommandKind.RESUME] * 2
     assert [c.trajectory_s for c in resumed] == pytest.approx([others_s] * 2, abs=0.11)
 
 
@@ -539,9 +539,9 @@ def test_a_robot_that_is_out_of_step_for_a_moment_now_and_then_flies_on() -> Non
     assert run.at(MissionState.RUNNING)
     run.robots[2].trajectory_s -= 0.8
     run.step(0.2)
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(0.2)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     run.robots[2].trajectory_s -= 0.8
     run.step(0.2)
@@ -554,15 +554,15 @@ def test_a_resume_does_not_go_back_to_a_robot_far_behind() -> None:
     run.robots[2].trajectory_s = 0.0
     run.step(1.0)
     assert run.at(MissionState.PAUSED)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(0.5)
-    assert {r.got[-1].order for r in run.robots.values()} == {Order.RESUME}
+    assert {r.got[-1].order for r in run.robots.values()} == {CommandKind.RESUME}
     assert {r.got[-1].trajectory_s > 10.0 for r in run.robots.values()} == {True}
 
 
 def test_a_robot_that_starts_out_of_step_makes_all_hold() -> None:
     run = MissionRun(settings=["duration_s=60"])
-    run.robots[1].refuses = frozenset({Order.START})
+    run.robots[1].refuses = frozenset({CommandKind.START})
     while not run.in_mode(2, Mode.TRACKING):
         run.step()
     run.robots[2].starts_at_ns += 2_000_000_000
@@ -580,13 +580,13 @@ def test_a_robot_on_another_plan_than_the_others_makes_all_hold() -> None:
 
 def test_all_hold_before_anybody_goes_on() -> None:
     run = running(automatic=False)
-    run.robots[2].refuses = frozenset({Order.HOLD})
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    run.robots[2].refuses = frozenset({CommandKind.HOLD})
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(0.5)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == "robot 2 does not hold yet (TRACKING)"
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == "robot 2 does not hold yet (TRACKING)"
     run.robots[2].refuses = frozenset()
     run.step(0.5)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
 
 
 def test_a_stalled_station_moves_no_reference() -> None:
@@ -616,7 +616,7 @@ def next_leg(run: MissionRun, begin_s: float) -> PlanSegment:
 
 def going_elsewhere() -> MissionRun:
     run = running([STRAIGHT, "duration_s=20"], automatic=False)
-    assert run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
+    assert run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
     return run
 
 
@@ -627,21 +627,21 @@ def test_a_plan_that_does_not_come_in_time_makes_all_hold() -> None:
     run.step(0.5)
     assert run.at(MissionState.PAUSED)
     assert run.mission.reason == "no plan in time"
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.RUNNING)
 
 
 def test_a_late_switch_makes_all_hold_and_replan_from_rest() -> None:
     run = going_elsewhere()
-    run.robots[2].refuses = frozenset({Order.SWITCH})
+    run.robots[2].refuses = frozenset({CommandKind.SWITCH})
     run.mission.planned(next_leg(run, 3.0), run.fleet(), run.now_ns)
     run.step(1.5)
     assert run.robots[1].loaded == "n1" and run.robots[2].loaded == "t2"
     run.step(0.5)
     assert run.at(MissionState.PAUSED)
     assert run.mission.reason == "robot 2 has not gone over in time: robot 2 refuses SWITCH: I refuse"
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     assert run.at(MissionState.HALTING)
     run.step(0.2)
     assert run.mission.plan_request is not None
@@ -649,13 +649,13 @@ def test_a_late_switch_makes_all_hold_and_replan_from_rest() -> None:
     run.step(2.0)
     assert run.at(MissionState.RUNNING)
     assert {r.loaded for r in run.robots.values()} == {"n1", "n2"}
-    assert all(Order.RESUME not in [c.order for c in r.got] for r in run.robots.values())
+    assert all(CommandKind.RESUME not in [c.order for c in r.got] for r in run.robots.values())
 
 
 def test_a_robot_that_does_not_hold_while_all_come_to_rest_ends_the_mission() -> None:
     run = running(automatic=False)
-    run.robots[2].refuses = frozenset({Order.HOLD})
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    run.robots[2].refuses = frozenset({CommandKind.HOLD})
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.step(PATIENCE_S - 0.5)
     assert run.at(MissionState.HALTING)
     run.step(1.0)
@@ -668,7 +668,7 @@ def test_a_robot_that_does_not_hold_while_all_come_to_rest_ends_the_mission() ->
 def test_a_thruster_test_that_does_not_end_is_given_up() -> None:
     run = MissionRun(automatic=False)
     run.robots[1].test = "passed"
-    assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == ""
     run.step(TEST_PATIENCE_S)
     assert run.at(MissionState.TESTING)
     run.robots[2].test = "running"
@@ -680,15 +680,15 @@ def test_a_thruster_test_that_does_not_end_is_given_up() -> None:
 def test_patience_for_a_robot_begins_when_it_stops_confirming() -> None:
     """Trajectories lie loaded for a while; then an agent is restarted, and has none."""
     run = MissionRun(automatic=False)
-    assert run.mission.request(Order.LOAD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.LOAD, run.fleet(), run.now_ns) == ""
     run.step(PATIENCE_S + 1.0)
-    run.robots[2].loaded, run.robots[2].refuses = "", frozenset({Order.LOAD})
+    run.robots[2].loaded, run.robots[2].refuses = "", frozenset({CommandKind.LOAD})
     run.step(PATIENCE_S - 1.0)
     assert run.at(MissionState.LOADING)
     run.robots[2].refuses = frozenset()
     run.step(0.5)
     assert run.at(MissionState.LOADING) and run.robots[2].loaded == "t2"
-    run.robots[2].loaded, run.robots[2].refuses = "", frozenset({Order.LOAD})
+    run.robots[2].loaded, run.robots[2].refuses = "", frozenset({CommandKind.LOAD})
     run.step(PATIENCE_S + 1.0)
     assert run.states[-2:] == [MissionState.ABORTING, MissionState.FAILED]
     assert "robot 2 does not follow LOAD: robot 2 refuses LOAD: I refuse" in run.mission.reason
@@ -700,11 +700,11 @@ def test_patience_for_a_robot_begins_when_it_stops_confirming() -> None:
 def on_the_way_to_a_plan(policy: str, state: MissionState) -> MissionRun:
     """Three robots, sent home, in this state."""
     run = running([THREE, f'mission.lost="{policy}"'], automatic=False)
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     if state is not MissionState.HALTING:
         for robot in run.robots.values():
-            robot.refuses = frozenset({Order.LOAD} if state is MissionState.RELOADING else {Order.START})
+            robot.refuses = frozenset({CommandKind.LOAD} if state is MissionState.RELOADING else {CommandKind.START})
         run.mission.planned(replace(next_leg(run, 4.0), is_return=True), run.fleet(), run.now_ns)
         run.step(0.3)
     if state is MissionState.REARMING:  # those who hold are armed, and it takes no time
@@ -755,7 +755,7 @@ def test_a_robot_lost_while_a_plan_is_made_is_the_policys_affair(
 def test_robots_that_lie_disarmed_are_not_lost_while_a_plan_home_is_made() -> None:
     run = MissionRun(automatic=False)
     run.step(0.2)
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert run.at(MissionState.HALTING) and run.mission.roster.lost == {}
     run.mission.planned(replace(next_leg(run, 0.05), is_return=True), run.fleet(), run.now_ns)
@@ -766,7 +766,7 @@ def test_robots_that_lie_disarmed_are_not_lost_while_a_plan_home_is_made() -> No
 def test_robots_that_lie_disarmed_and_have_no_way_home_say_so() -> None:
     run = MissionRun(automatic=False)
     run.step(0.2)
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     run.mission.planned(PlanError("an island is in the way"), run.fleet(), run.now_ns)
     run.step(1.0)
@@ -778,7 +778,7 @@ def test_a_robot_that_should_rejoin_stays_out_when_there_is_no_way() -> None:
     run = three_running("go-on")
     run.robots[2].mode = Mode.DISARMED
     run.step(0.2)
-    assert run.mission.request(Order.REJOIN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.REJOIN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     run.mission.planned(PlanError("an island is in the way"), run.fleet(), run.now_ns)
     run.step(1.0)
@@ -790,7 +790,7 @@ def test_a_robot_that_should_rejoin_stays_out_when_there_is_no_way() -> None:
 @pytest.mark.parametrize("state", LOST_WHERE)
 def test_a_person_can_hold_robots_that_wait_for_a_plan(state: MissionState) -> None:
     run = on_the_way_to_a_plan("abort", state)
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(3.0)
     assert run.at(MissionState.PAUSED)
     assert {r.mode for r in run.robots.values()} == {Mode.HOLDING}
@@ -799,9 +799,9 @@ def test_a_person_can_hold_robots_that_wait_for_a_plan(state: MissionState) -> N
 def test_robots_that_lie_disarmed_cannot_be_held() -> None:
     run = MissionRun(automatic=False)
     run.step(0.2)
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == "no robot is armed"
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == "no robot is armed"
     assert run.at(MissionState.HALTING)
 
 
@@ -821,7 +821,7 @@ def test_an_obstacle_on_a_transfer_makes_robots_rest_and_replan(is_return: bool)
     """With policy go-on a robot that is lost was to be gone when the other comes by. The new plan leads where the transfer
     led, also where the last plan that was asked for was to lead home."""
     run = running([THREE, 'mission.lost="go-on"', "mission.detours=true"], automatic=False)
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     away = next_leg(run, 3.0)
     eta = np.zeros((200, 4))
@@ -851,29 +851,29 @@ def test_an_obstacle_on_a_transfer_makes_robots_rest_and_replan(is_return: bool)
 
 def test_a_run_disarmed_by_an_operator_does_not_succeed() -> None:
     run = running()
-    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
-    run.robots[2].refuses = frozenset({Order.DISARM})
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
+    run.robots[2].refuses = frozenset({CommandKind.DISARM})
     run.step(0.5)
     run.robots[2].refuses = frozenset()
     run.step(0.5)
     assert run.at(MissionState.CANCELLED)
     assert run.mission.reason == "a person asked for DISARM when RUNNING"
-    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert run.at(MissionState.CANCELLED)
-    assert run.mission.request(Order.LOAD, run.fleet(), run.now_ns) == ""
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.LOAD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(65.0)
     assert run.at(MissionState.DONE)
-    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert run.at(MissionState.DONE)  # what was done stays done
 
 
 def test_the_reason_why_a_run_failed_is_not_lost_for_a_refusal() -> None:
     run = running()
-    run.robots[2].mode, run.robots[2].fault, run.robots[2].refuses = Mode.FAULT, "no pose", frozenset({Order.DISARM})
-    run.robots[1].refuses = frozenset({Order.DISARM})
+    run.robots[2].mode, run.robots[2].fault, run.robots[2].refuses = Mode.FAULT, "no pose", frozenset({CommandKind.DISARM})
+    run.robots[1].refuses = frozenset({CommandKind.DISARM})
     run.step(1.0)
     run.robots[1].refuses = frozenset()
     run.step(1.0)
@@ -882,9 +882,9 @@ def test_the_reason_why_a_run_failed_is_not_lost_for_a_refusal() -> None:
 
 
 @pytest.mark.parametrize(
-    ("order", "ends_in"), [(Order.DISARM, MissionState.ENDING), (Order.CLEAR_STOP, MissionState.CLEARING)]
+    ("order", "ends_in"), [(CommandKind.DISARM, MissionState.ENDING), (CommandKind.CLEAR_STOP, MissionState.CLEARING)]
 )
-def test_a_robot_never_heard_confirms_nothing(order: Order, ends_in: MissionState) -> None:
+def test_a_robot_never_heard_confirms_nothing(order: CommandKind, ends_in: MissionState) -> None:
     run = MissionRun(automatic=False)
     run.robots[2].unknown = True
     run.step(0.2)
@@ -905,7 +905,7 @@ def test_a_state_from_before_the_command_confirms_nothing() -> None:
     run = MissionRun(automatic=False)
     run.step(0.2)
     run.robots[2].silent = True
-    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(5.0)
     assert run.at(MissionState.ENDING)
     run.robots[2].silent = False
@@ -916,14 +916,14 @@ def test_a_state_from_before_the_command_confirms_nothing() -> None:
 def test_a_robot_armed_after_its_last_state_is_still_disarmed() -> None:
     """Its last state is from before; whoever took that for done would leave an armed robot behind."""
     run = MissionRun(automatic=False)
-    assert run.mission.request(Order.ARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.ARM, run.fleet(), run.now_ns) == ""
     while not run.in_mode(2, Mode.ARMED):
         run.step()
     before = run.fleet()
-    assert run.in_mode(2, Mode.ARMED) and run.mission.request(Order.DISARM, before, run.now_ns) == ""
+    assert run.in_mode(2, Mode.ARMED) and run.mission.request(CommandKind.DISARM, before, run.now_ns) == ""
     disarmed = {r: replace(view, state=replace(view.state, mode=Mode.DISARMED)) for r, view in before.items() if view.state}
     orders = run.mission.step(disarmed, (), run.now_ns + 10_000_000)
-    assert [(c.order, c.robot) for c in orders] == [(Order.DISARM, 1), (Order.DISARM, 2)]
+    assert [(c.order, c.robot) for c in orders] == [(CommandKind.DISARM, 1), (CommandKind.DISARM, 2)]
     assert run.at(MissionState.ENDING)
 
 
@@ -931,7 +931,7 @@ def test_the_result_of_an_earlier_thruster_test_is_ignored() -> None:
     run = MissionRun(automatic=False)
     for robot in run.robots.values():
         robot.test, robot.age_s = "passed", 0.2
-    assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == ""
     while not run.at(MissionState.TESTING):
         run.step()
     run.step(0.2)
@@ -943,11 +943,11 @@ def test_the_result_of_an_earlier_thruster_test_is_ignored() -> None:
     assert run.mission.reason.startswith("robot 1: thruster 3 does not turn")
 
 
-@pytest.mark.parametrize("order", [Order.START, Order.RESUME])
-def test_a_robot_that_does_not_start_with_the_others_is_waited_for_briefly(order: Order) -> None:
-    run = running(automatic=False) if order is Order.RESUME else MissionRun(automatic=False, settings=["duration_s=60"])
-    if order is Order.RESUME:
-        assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+@pytest.mark.parametrize("order", [CommandKind.START, CommandKind.RESUME])
+def test_a_robot_that_does_not_start_with_the_others_is_waited_for_briefly(order: CommandKind) -> None:
+    run = running(automatic=False) if order is CommandKind.RESUME else MissionRun(automatic=False, settings=["duration_s=60"])
+    if order is CommandKind.RESUME:
+        assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
         run.step(0.5)
     run.robots[2].refuses = frozenset({order})
     assert run.mission.request(order, run.fleet(), run.now_ns) == ""
@@ -966,12 +966,12 @@ def test_a_formation_on_its_way_home_is_not_sent_elsewhere() -> None:
         robot.refuses = frozenset()
     while not run.at(MissionState.RUNNING):
         run.step()
-    assert "on their way back" in run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
+    assert "on their way back" in run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
 
 
 def test_robots_held_on_a_way_home_that_is_blocked_since_get_another_one() -> None:
     run = running([STRAIGHT, "duration_s=20"], automatic=False)
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     eta = np.zeros((200, 4))
     eta[:, 0] = np.linspace(-1.0, 1.0, 200)
@@ -987,21 +987,21 @@ def test_robots_held_on_a_way_home_that_is_blocked_since_get_another_one() -> No
         robot.eta = (-1.0, 0.0, 0.0, 0.0)
     run.step(2.0)
     assert run.at(MissionState.RETURNING)
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     run.mission.plans.monitor.update(ObstacleSet((1,), np.array([[0.5, 0.0, 0.1]])), run.now_ns)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     assert run.at(MissionState.HALTING) and run.mission.plans.targets_return
 
 
 def test_a_robot_carried_off_during_a_hold_is_led_back_before_resume() -> None:
     run = running(automatic=False)
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.robots[2].eta = (0.0, 1.1, 0.0, 0.0)
     run.step(0.5)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     assert run.at(MissionState.HALTING) and run.mission.reason == "robot 2 is 1.10 m from its place"
-    assert all(Order.RESUME not in [c.order for c in robot.got] for robot in run.robots.values())
+    assert all(CommandKind.RESUME not in [c.order for c in robot.got] for robot in run.robots.values())
 
 
 # --- after an emergency stop
@@ -1009,14 +1009,14 @@ def test_a_robot_carried_off_during_a_hold_is_led_back_before_resume() -> None:
 
 def test_clear_stop_waits_for_robots_that_the_stop_has_not_reached() -> None:
     run = running(automatic=False)
-    run.robots[2].refuses = frozenset({Order.STOP})
-    assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.robots[2].refuses = frozenset({CommandKind.STOP})
+    assert run.mission.request(CommandKind.STOP, run.fleet(), run.now_ns) == ""
     run.step(0.1)
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == "robot 2 has not stopped yet (TRACKING)"
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == "robot 2 has not stopped yet (TRACKING)"
     assert run.at(MissionState.STOPPED)
     run.robots[2].refuses = frozenset()
     run.step(0.5)
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert run.at(MissionState.WAITING) and {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
@@ -1026,13 +1026,13 @@ def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarm
     """Also one whose states come late: they were sent since."""
     run = running(automatic=False)
     run.robots[2].silent = True
-    assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.STOP, run.fleet(), run.now_ns) == ""
     run.step(0.5)
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     assert run.at(MissionState.CLEARING)
     run.robots[2].silent, run.robots[2].age_s = False, age_s
-    run.robots[2].refuses = frozenset({Order.CLEAR_STOP})  # as a robot that is not stopped does
+    run.robots[2].refuses = frozenset({CommandKind.CLEAR_STOP})  # as a robot that is not stopped does
     run.step(0.5 + 2.0 * age_s)
     assert run.at(MissionState.FAILED) and run.mission.reason == "robot 2 has not stopped: it is TRACKING"
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
@@ -1043,20 +1043,20 @@ def test_clear_stop_reaches_robots_that_have_not_reported_the_stop() -> None:
     run = MissionRun(automatic=False)
     run.step(0.2)
     before = run.fleet()
-    assert run.mission.request(Order.STOP, before, run.now_ns) == ""
-    assert run.mission.request(Order.CLEAR_STOP, before, run.now_ns) == ""
+    assert run.mission.request(CommandKind.STOP, before, run.now_ns) == ""
+    assert run.mission.request(CommandKind.CLEAR_STOP, before, run.now_ns) == ""
     orders = run.mission.step(before, (), run.now_ns + 10_000_000)
-    assert [(c.order, c.robot) for c in orders] == [(Order.CLEAR_STOP, 1), (Order.CLEAR_STOP, 2)]
+    assert [(c.order, c.robot) for c in orders] == [(CommandKind.CLEAR_STOP, 1), (CommandKind.CLEAR_STOP, 2)]
     assert run.at(MissionState.CLEARING)
 
 
 def test_a_thruster_test_after_a_cleared_stop_does_not_begin_an_automatic_mission() -> None:
     run = running()
-    assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.STOP, run.fleet(), run.now_ns) == ""
     run.step(0.5)
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(0.5)
-    assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     for robot in run.robots.values():
         robot.test = "passed"
@@ -1073,10 +1073,10 @@ def test_a_return_arms_no_robot_that_preflight_blocks() -> None:
     run.step(0.2)
     untested = "thruster test: not done (groundstation mission test)"
     refused = f"no robot is fit to move; robot 1: {untested}; robot 2: {untested}"
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == refused
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == refused
     assert run.at(MissionState.WAITING)
     run.robots[1].test, run.robots[1].eta = "passed", (0.9, 0.9, 0.0, 0.0)  # far from its start: that is why it returns
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     assert run.mission.roster.lost == {2: untested}
     run.step(0.5)
     run.mission.planned(replace(next_leg(run, 0.05), is_return=True), run.fleet(), run.now_ns)
@@ -1105,7 +1105,7 @@ def test_a_lost_robot_that_still_hears_is_disarmed_with_the_others() -> None:
     run.robots[2].silent = run.robots[2].hears = True
     run.robots[2].view = lambda: replace(last_view, state_age_s=9.0)  # type: ignore[method-assign]
     run.step(0.5)
-    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert run.at(MissionState.CANCELLED)  # nobody waits for it
     assert run.in_mode(2, Mode.DISARMED)
@@ -1115,13 +1115,13 @@ def test_a_lost_robot_returns_after_the_run_when_the_others_cannot() -> None:
     run = three_running("go-on")
     run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
     run.step(0.5)
-    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.CANCELLED) and set(run.mission.roster.lost) == {2}
     run.robots[2].fault = ""
     for robot in (1, 3):
         run.robots[robot].battery_v = 10.0
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     assert set(run.mission.roster.lost) == {1, 3}
 
 
@@ -1138,7 +1138,7 @@ def test_a_robot_that_disarms_when_its_way_home_is_blocked_is_lost(monkeypatch: 
     """It lay disarmed before this return, and might be while that was planned; it has flown since."""
     run = MissionRun(automatic=False)
     run.step(0.2)
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     run.mission.planned(replace(next_leg(run, 0.05), is_return=True), run.fleet(), run.now_ns)
     run.step(2.0)
@@ -1159,25 +1159,25 @@ def test_rejoin_takes_in_who_is_fit_and_leaves_out_who_is_not() -> None:
     assert set(run.mission.roster.lost) == {2, 3}
     run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, ""
     run.step(0.5)
-    assert run.mission.request(Order.REJOIN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.REJOIN, run.fleet(), run.now_ns) == ""
     assert set(run.mission.roster.lost) == {3}
 
 
 def test_a_stop_that_one_robot_missed_to_clear_is_cleared_later() -> None:
     run = running(automatic=False)
-    run.mission.request(Order.STOP, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.STOP, run.fleet(), run.now_ns)
     run.step(1.0)
     run.robots[2].silent = True
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(PATIENCE_S * 2.0 + 1.0)
     assert run.at(MissionState.FAILED)
     reason = run.mission.reason
     run.robots[2].silent = False
-    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(PATIENCE_S * 2.0 + 1.0)
     assert run.at(MissionState.FAILED) and run.mission.reason
     assert "robot 2" in reason
-    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.WAITING)
     assert {robot.mode for robot in run.robots.values()} == {Mode.DISARMED}
@@ -1185,11 +1185,11 @@ def test_a_stop_that_one_robot_missed_to_clear_is_cleared_later() -> None:
 
 def test_disarm_when_all_is_over_keeps_the_reason() -> None:
     run = running(automatic=False)
-    run.mission.request(Order.DISARM, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns)
     run.step(1.0)
     assert run.at(MissionState.CANCELLED)
     reason = run.mission.reason
-    run.mission.request(Order.DISARM, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns)
     run.step(1.0)
     assert (run.mission.state, run.mission.reason) == (MissionState.CANCELLED, reason)
     assert "DISARM when RUNNING" in reason
@@ -1197,40 +1197,40 @@ def test_disarm_when_all_is_over_keeps_the_reason() -> None:
 
 def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() -> None:
     run = MissionRun(automatic=False)
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(6.0)
     assert run.at(MissionState.DONE)
-    assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == ""
     for robot in run.robots.values():
         robot.test = "passed"
     run.step(2.0)
     assert run.at(MissionState.WAITING) and run.mission.verdict is MissionState.DONE
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     assert run.mission.verdict is None
     run.step(6.0)
     assert run.at(MissionState.DONE)
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
 
 
 @pytest.mark.parametrize("after", ["test", "stop", "armed alone"])
 def test_a_failure_after_a_run_leaves_its_verdict(after: str) -> None:
     run = MissionRun(automatic=False)
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(6.0)
     assert run.at(MissionState.DONE)
     ends = MissionState.FAILED
     if after == "test":
-        assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+        assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == ""
         run.robots[2].silent = True
     else:
-        assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
+        assert run.mission.request(CommandKind.STOP, run.fleet(), run.now_ns) == ""
         run.step(0.5)
         run.robots[2].silent = after == "stop"
-        assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+        assert run.mission.request(CommandKind.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     if after == "armed alone":
         run.step(1.0)
         run.robots[1].mode, ends = Mode.ARMED, MissionState.CANCELLED
-        assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+        assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(30.0)
     assert run.at(ends)
     assert run.mission.verdict is MissionState.DONE
@@ -1239,34 +1239,34 @@ def test_a_failure_after_a_run_leaves_its_verdict(after: str) -> None:
 def test_hold_while_planning_leaves_out_a_robot_that_is_disarmed() -> None:
     """It was to be armed for the plan, and cannot hold."""
     run = three_running("go-on")
-    run.mission.request(Order.DISARM, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns)
     run.step(1.0)
-    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RETURN, run.fleet(), run.now_ns) == ""
     run.robots[1].mode = run.robots[3].mode = Mode.HOLDING
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     assert run.mission.roster.lost == {2: "disarmed"}
 
 
-@pytest.mark.parametrize("again", [Order.RESUME, Order.RETURN])
-def test_a_return_from_rest_that_was_held_leads_home_and_flies_no_path(again: Order) -> None:
+@pytest.mark.parametrize("again", [CommandKind.RESUME, CommandKind.RETURN])
+def test_a_return_from_rest_that_was_held_leads_home_and_flies_no_path(again: CommandKind) -> None:
     """Robots that people led away hold in the water, and have the plan of an earlier flight."""
     fleet = SimulatedFleet(load_experiment("pool", ("duration_s=12.0",)))
     flown: list[bool] = []
     fleet.on_cycle = lambda: flown.append(fleet.mission.segment.is_return) if fleet.mission.state in IN_FLIGHT else None
 
-    def ask(order: Order, only: int = 0) -> str:
+    def ask(order: CommandKind, only: int = 0) -> str:
         return fleet.core.request(order, fleet.fleet, fleet.now_ns, only=only)[0]
 
     fleet.run(0.5)
-    assert ask(Order.START) == ""
+    assert ask(CommandKind.START) == ""
     fleet.run(3.0)
-    assert ask(Order.DISARM) == ""
+    assert ask(CommandKind.DISARM) == ""
     fleet.run(1.0)
-    for order in (Order.ARM, Order.HOLD):
+    for order in (CommandKind.ARM, CommandKind.HOLD):
         assert [ask(order, robot) for robot in fleet.robots] == [""] * len(fleet.robots)
         fleet.run(0.5)
     flown.clear()
-    assert ask(Order.RETURN) == "" and ask(Order.HOLD) == ""
+    assert ask(CommandKind.RETURN) == "" and ask(CommandKind.HOLD) == ""
     fleet.run(1.0)
     assert fleet.mission.state.name == "PAUSED" and fleet.mission.plans.progress_s == 0.0
     assert ask(again) == ""
@@ -1280,8 +1280,8 @@ def test_another_form_is_planned_in_flight_and_flown_once_all_have_it() -> None:
     run = MissionRun(settings=['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'])
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    assert "'trinagle': must read" in run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="trinagle 1")
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
+    assert "'trinagle': must read" in run.mission.request(CommandKind.FORMATION, run.fleet(), run.now_ns, text="trinagle 1")
+    assert run.mission.request(CommandKind.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     assert run.at(MissionState.SWITCHING)
     request = run.mission.plan_request
     assert request is not None
@@ -1297,7 +1297,7 @@ def test_a_form_that_cannot_be_flown_leaves_the_formation_in_its_own() -> None:
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     before = run.mission.segment
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
+    assert run.mission.request(CommandKind.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     run.mission.planned(PlanError("robot 1: too fast"), run.fleet(), run.now_ns)
     assert run.at(MissionState.RUNNING)
     assert run.mission.segment is before
@@ -1308,9 +1308,9 @@ def test_from_a_hold_another_form_is_planned_from_rest_and_then_flown() -> None:
     run = MissionRun(settings=['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'])
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(0.3)
-    assert run.mission.request(Order.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
+    assert run.mission.request(CommandKind.FORMATION, run.fleet(), run.now_ns, text="line 1.0") == ""
     run.step(0.3)
     assert run.at(MissionState.HALTING)
     assert run.mission.plan_request is not None and run.mission.plan_request.name == "from rest"
@@ -1325,7 +1325,7 @@ def test_from_a_hold_another_form_is_planned_from_rest_and_then_flown() -> None:
 )
 def test_robots_whose_poses_are_not_the_runs_hold_until_they_are(two: bool, reason: str) -> None:
     run = MissionRun(automatic=False, settings=["duration_s=20"])
-    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(2.0)
     assert run.at(MissionState.RUNNING)
     well, robot = run.robots[2].localizer_hash, run.robots[2]
@@ -1333,11 +1333,11 @@ def test_robots_whose_poses_are_not_the_runs_hold_until_they_are(two: bool, reas
     run.step(0.5)
     assert run.at(MissionState.PAUSED) and run.mission.reason.startswith(reason)
     assert {robot.mode for robot in run.robots.values()} == {Mode.HOLDING}
-    for order in (Order.RESUME, Order.RETURN):
+    for order in (CommandKind.RESUME, CommandKind.RETURN):
         assert run.mission.request(order, run.fleet(), run.now_ns).startswith(reason)
     robot.localizer_hash, robot.two_pose_senders = run.experiment.hash, False
     run.step(0.5)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.RUNNING)
 
@@ -1396,5 +1396,5 @@ def test_a_path_that_cannot_be_left_is_refused_with_the_one_reason_that_holds(se
     run = MissionRun(settings=settings)
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    refused = run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
+    refused = run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
     assert refused == f"{why}: it cannot be left for other places under way"

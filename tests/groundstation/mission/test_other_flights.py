@@ -8,7 +8,7 @@ from groundstation.planning import planner
 from groundstation.planning.segment import first_segment, sample
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
 from shoal.errors import ConfigError
-from shoal.messages.messages import Mode, Order, Progress
+from shoal.messages.messages import CommandKind, Mode, Progress
 from tests.groundstation.mission.simulated_fleet import SimulatedFleet
 
 CIRCLE = '[path]\nkind = "circle"\ndiameter_m = 1.0\nlap_s = 60.0\ndepth_m = 0.3\n'
@@ -18,7 +18,7 @@ def other() -> str:
     return dump_experiment(load_experiment("figure-eight", ["duration_s=40"]))
 
 
-def ask(fleet: SimulatedFleet, order: Order, text: str = "") -> str:
+def ask(fleet: SimulatedFleet, order: CommandKind, text: str = "") -> str:
     return fleet.core.request(order, fleet.fleet, fleet.now_ns, text=text)[0]
 
 
@@ -57,14 +57,14 @@ def fleet() -> SimulatedFleet:
 
 def test_a_path_that_is_loaded_at_rest_moves_nobody_and_is_what_the_next_start_flies(fleet: SimulatedFleet) -> None:
     before = {r: robot.eta.copy() for r, robot in fleet.robots.items()}
-    assert ask(fleet, Order.PATH, other()) == ""
+    assert ask(fleet, CommandKind.PATH, other()) == ""
     assert newest(fleet)[0] is Progress.UNDER_WAY
-    assert "still being planned" in ask(fleet, Order.START)
+    assert "still being planned" in ask(fleet, CommandKind.START)
     fleet.run(1.0)
     assert newest(fleet) == (Progress.DONE, "") and fleet.mission.state is MissionState.WAITING
     assert all(robot.mode is Mode.DISARMED and np.allclose(robot.eta, before[r]) for r, robot in fleet.robots.items())
     assert fleet.mission.plans.flown.name == "figure-eight"
-    assert ask(fleet, Order.START) == ""
+    assert ask(fleet, CommandKind.START) == ""
     until(fleet, MissionState.RUNNING, 10.0)
     until_there_s = fleet.mission.segment.transfer_end_s - fleet.mission.plans.progress_s + 3.0
     fleet.run(until_there_s)
@@ -73,20 +73,20 @@ def test_a_path_that_is_loaded_at_rest_moves_nobody_and_is_what_the_next_start_f
 
 
 def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: SimulatedFleet) -> None:
-    assert ask(fleet, Order.START) == ""
+    assert ask(fleet, CommandKind.START) == ""
     until(fleet, MissionState.RUNNING, 10.0)
     fleet.run(5.0)
-    assert "only when" in ask(fleet, Order.PATH, other())
-    assert ask(fleet, Order.HOLD) == ""
+    assert "only when" in ask(fleet, CommandKind.PATH, other())
+    assert ask(fleet, CommandKind.HOLD) == ""
     fleet.run(2.0)
-    assert ask(fleet, Order.PATH, other()) == ""
+    assert ask(fleet, CommandKind.PATH, other()) == ""
     until(fleet, MissionState.RUNNING, 20.0)
     fleet.step()
     assert newest(fleet)[0] is Progress.DONE
     fleet.run(fleet.mission.segment.transfer_end_s - fleet.mission.plans.progress_s + 3.0)
     flown = with_flight(fleet.experiment, other())
     assert furthest_off_m(fleet, flown, 15.0) < 0.05
-    assert ask(fleet, Order.RETURN) == ""
+    assert ask(fleet, CommandKind.RETURN) == ""
     until(fleet, MissionState.DONE, 90.0)
     for robot, trajectory in first_segment(flown).trajectories.items():
         assert np.allclose(fleet.robots[robot].eta[:3], trajectory.eta[0, :3], atol=0.05)
@@ -96,21 +96,21 @@ def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: 
 def test_robots_change_places_at_rest_and_from_a_hold(fleet: SimulatedFleet, holds: bool) -> None:
     """Under way they would meet: there the planner refuses it."""
     if holds:
-        assert ask(fleet, Order.START) == ""
+        assert ask(fleet, CommandKind.START) == ""
         until(fleet, MissionState.RUNNING, 10.0)
         fleet.run(3.0)
-        assert ask(fleet, Order.FORMATION, "order 2,1") == ""
+        assert ask(fleet, CommandKind.FORMATION, "order 2,1") == ""
         fleet.run(1.0)
         assert newest(fleet)[0] is Progress.FAILED and "robots 1 and 2: " in newest(fleet)[1]
-        assert ask(fleet, Order.HOLD) == ""
+        assert ask(fleet, CommandKind.HOLD) == ""
         fleet.run(2.0)
     places = fleet.mission.segment.trajectories
     was = {r: robot.eta[:2].copy() if holds else places[r].eta[0, :2] for r, robot in fleet.robots.items()}
-    assert ask(fleet, Order.FORMATION, "order 2,1") == ""
+    assert ask(fleet, CommandKind.FORMATION, "order 2,1") == ""
     if not holds:
         fleet.run(1.0)
         assert newest(fleet)[0] is Progress.DONE
-        assert ask(fleet, Order.START) == ""
+        assert ask(fleet, CommandKind.START) == ""
     until(fleet, MissionState.RUNNING, 20.0)
     while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s:
         fleet.step()
@@ -129,11 +129,11 @@ def test_a_path_that_cannot_be_flown_here_leaves_the_one_before(fleet: Simulated
             "kind",
         ),
     ):
-        assert reason in ask(fleet, Order.PATH, text)
-    assert ask(fleet, Order.PATH, CIRCLE.replace("1.0", "30.0")) == ""
+        assert reason in ask(fleet, CommandKind.PATH, text)
+    assert ask(fleet, CommandKind.PATH, CIRCLE.replace("1.0", "30.0")) == ""
     fleet.run(1.0)
     assert newest(fleet)[0] is Progress.FAILED and "beyond" in newest(fleet)[1]
-    assert fleet.mission.plans.flown is before and ask(fleet, Order.START) == ""
+    assert fleet.mission.plans.flown is before and ask(fleet, CommandKind.START) == ""
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_a_path_that_cannot_be_flown_here_leaves_the_one_before(fleet: Simulated
     [("order 2,2", "each once"), ("order 1", "must name each robot once (1, 2)"), ("line 1 order", "each once")],
 )
 def test_an_order_that_is_none_is_refused(fleet: SimulatedFleet, form: str, reason: str) -> None:
-    assert reason in ask(fleet, Order.FORMATION, form)
+    assert reason in ask(fleet, CommandKind.FORMATION, form)
 
 
 def test_a_file_changes_form_into_an_order_of_its_robots() -> None:

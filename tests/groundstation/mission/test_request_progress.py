@@ -14,7 +14,7 @@ from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import TRANSITIONS, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
-from shoal.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Trajectory, Tuning
+from shoal.messages.messages import Command, CommandKind, Mode, Outcome, Progress, Reply, Trajectory, Tuning
 from tests.groundstation.mission.mission_run import MissionRun
 from tests.groundstation.mission.simulated_fleet import PLACES, THREE, SimulatedFleet, an_experiment
 
@@ -29,7 +29,7 @@ class Asked:
     requests: RequestTracker = field(default_factory=lambda: RequestTracker((1, 2)))
     tuning: GainStatus = field(default_factory=lambda: GainStatus(FLOWN))
 
-    def ask(self, order: Order, **more: Any) -> int:
+    def ask(self, order: CommandKind, **more: Any) -> int:
         run = self.run
         assert run.mission.request(order, run.fleet(), run.now_ns, **more) == ""
         return self.requests.begin(order, run.mission)
@@ -51,26 +51,33 @@ class Asked:
         return self.outcome(number).progress
 
     def fly(self) -> None:
-        number = self.ask(Order.START)
+        number = self.ask(CommandKind.START)
         self.step(1.0)
         assert self.progress(number) is Progress.DONE
         assert self.run.at(MissionState.RUNNING)
 
 
 def test_every_request_that_the_mission_takes_leads_somewhere() -> None:
-    assert {row.cause for row in TRANSITIONS if isinstance(row.cause, Order)} | {Order.END} == set(GOALS)
+    assert {row.cause for row in TRANSITIONS if isinstance(row.cause, CommandKind)} | {CommandKind.END} == set(GOALS)
     for row in TRANSITIONS:
-        if isinstance(row.cause, Order):
+        if isinstance(row.cause, CommandKind):
             goal = PLANNED_AT_REST if row.to is MissionState.WAITING and row.cause in OTHER_FLIGHTS else GOALS[row.cause]
             assert row.to in goal.through | goal.to, row
 
 
 def test_a_request_is_done_when_every_robot_has_done_it() -> None:
     lab = Asked()
-    for order in (Order.LOAD, Order.ARM, Order.START, Order.HOLD, Order.RESUME, Order.DISARM):
-        if order is Order.ARM:
+    for order in (
+        CommandKind.LOAD,
+        CommandKind.ARM,
+        CommandKind.START,
+        CommandKind.HOLD,
+        CommandKind.RESUME,
+        CommandKind.DISARM,
+    ):
+        if order is CommandKind.ARM:
             lab = Asked()  # nothing is armed twice
-        if order is Order.START:
+        if order is CommandKind.START:
             lab = Asked()
         number = lab.ask(order)
         assert lab.progress(number) is Progress.UNDER_WAY, order
@@ -85,7 +92,7 @@ def test_hold_is_done_when_every_robot_rests_in_its_place_and_in_waves_after_a_w
     lab.fly()
     slow, fast = lab.run.robots.values()
     fast.surge_mps = 0.19
-    number = lab.ask(Order.HOLD)
+    number = lab.ask(CommandKind.HOLD)
     lab.step(1.0)
     result = lab.outcome(number)
     assert (result.progress, result.confirmed, result.waiting) == (Progress.UNDER_WAY, (1,), (2,))
@@ -98,10 +105,10 @@ def test_hold_is_done_when_every_robot_rests_in_its_place_and_in_waves_after_a_w
     assert lab.progress(number) is Progress.DONE
 
     slow.surge_mps = 0.05  # waves
-    resumed = lab.ask(Order.RESUME)
+    resumed = lab.ask(CommandKind.RESUME)
     lab.step(2.0)
     assert lab.progress(resumed) is Progress.DONE
-    again = lab.ask(Order.HOLD)
+    again = lab.ask(CommandKind.HOLD)
     lab.step(7.5)
     assert lab.progress(again) is Progress.UNDER_WAY
     lab.step(1.0)
@@ -112,7 +119,7 @@ def test_a_stop_is_confirmed_robot_by_robot() -> None:
     lab = Asked()
     lab.fly()
     lab.run.robots[2].silent = True
-    number = lab.ask(Order.STOP)
+    number = lab.ask(CommandKind.STOP)
     lab.step(1.0)
     result = lab.outcome(number)
     assert (result.progress, result.confirmed, result.waiting) == (Progress.UNDER_WAY, (1,), (2,))
@@ -125,8 +132,8 @@ def test_a_stop_is_confirmed_robot_by_robot() -> None:
 def test_a_refusal_is_shown_until_the_robot_has_obeyed() -> None:
     lab = Asked()
     lab.fly()
-    lab.run.robots[2].refuses = frozenset({Order.STOP})
-    number = lab.ask(Order.STOP)
+    lab.run.robots[2].refuses = frozenset({CommandKind.STOP})
+    number = lab.ask(CommandKind.STOP)
     lab.step(0.5)
     assert lab.outcome(number).why == ("I refuse",)
     lab.run.robots[2].refuses = frozenset()
@@ -136,8 +143,8 @@ def test_a_refusal_is_shown_until_the_robot_has_obeyed() -> None:
 
 def test_a_stage_that_a_robot_does_not_follow_fails_with_its_reason() -> None:
     lab = Asked()
-    lab.run.robots[2].refuses = frozenset({Order.ARM})
-    number = lab.ask(Order.START)
+    lab.run.robots[2].refuses = frozenset({CommandKind.ARM})
+    number = lab.ask(CommandKind.START)
     lab.step(11.0)
     result = lab.outcome(number)
     assert (result.progress, result.waiting, result.why) == (Progress.FAILED, (1, 2), ("is armed", "I refuse"))
@@ -150,9 +157,9 @@ def test_places_are_gone_to_or_the_planner_says_why_not(is_possible: bool) -> No
     lab = Asked()
     lab.fly()
     mission = lab.run.mission
-    number = lab.requests.begin(Order.GO, mission)
+    number = lab.requests.begin(CommandKind.GO, mission)
     # the public request would make the plan too, which this test makes elsewhere
-    mission._go(Order.GO, lab.run.now_ns)
+    mission._go(CommandKind.GO, lab.run.now_ns)
     mission.plans.by_operator = True
     lab.look()
     assert lab.progress(number) is Progress.UNDER_WAY
@@ -172,12 +179,12 @@ def test_places_are_gone_to_or_the_planner_says_why_not(is_possible: bool) -> No
 
 def test_another_request_takes_the_place_of_one_under_way_and_the_same_is_one() -> None:
     lab = Asked()
-    first = lab.ask(Order.START)
+    first = lab.ask(CommandKind.START)
     lab.step(0.1)
-    stop = lab.ask(Order.STOP)
+    stop = lab.ask(CommandKind.STOP)
     assert lab.outcome(first).reason == "STOP was asked for instead"
     assert lab.progress(first) is Progress.FAILED
-    assert lab.ask(Order.STOP) == stop
+    assert lab.ask(CommandKind.STOP) == stop
 
 
 def test_a_silent_robot_does_not_confirm_disarm() -> None:
@@ -185,7 +192,7 @@ def test_a_silent_robot_does_not_confirm_disarm() -> None:
     lab.fly()
     lab.run.mission.roster.mark_lost(2, "silent")
     lab.run.robots[2].silent = True
-    number = lab.ask(Order.DISARM)
+    number = lab.ask(CommandKind.DISARM)
     lab.step(1.0)
     assert (lab.progress(number), lab.outcome(number).waiting) == (Progress.FAILED, (2,))
 
@@ -193,15 +200,15 @@ def test_a_silent_robot_does_not_confirm_disarm() -> None:
 def test_gains_are_told_apart_from_the_mission() -> None:
     lab = Asked()
     lab.fly()
-    number = lab.requests.begin(Order.TUNE, lab.run.mission, WANTED.id)
-    hold = lab.ask(Order.HOLD)
+    number = lab.requests.begin(CommandKind.TUNE, lab.run.mission, WANTED.id)
+    hold = lab.ask(CommandKind.HOLD)
     lab.tuning = GainStatus(FLOWN, WANTED.id, GainStage.ASKING)
     lab.step(0.5)
     assert (lab.progress(number), lab.progress(hold)) == (Progress.UNDER_WAY, Progress.DONE)
     lab.tuning = GainStatus(FLOWN, reason="robot 2 refuses: too much")
     lab.look()
     assert (lab.progress(number), lab.outcome(number).reason) == (Progress.FAILED, "robot 2 refuses: too much")
-    again = lab.requests.begin(Order.TUNE, lab.run.mission, WANTED.id)
+    again = lab.requests.begin(CommandKind.TUNE, lab.run.mission, WANTED.id)
     lab.tuning = GainStatus(WANTED)
     lab.run.robots[1].tuning_id = WANTED.id
     lab.look()
@@ -215,9 +222,9 @@ def test_a_run_ends_when_all_heard_robots_rest() -> None:
     lab = Asked()
     lab.fly()
     lab.run.robots[2].silent = True
-    lab.run.robots[1].refuses = frozenset({Order.DISARM})
-    assert lab.run.mission.request(Order.DISARM, lab.run.fleet(), lab.run.now_ns) == ""
-    number = lab.requests.begin(Order.END, lab.run.mission)
+    lab.run.robots[1].refuses = frozenset({CommandKind.DISARM})
+    assert lab.run.mission.request(CommandKind.DISARM, lab.run.fleet(), lab.run.now_ns) == ""
+    number = lab.requests.begin(CommandKind.END, lab.run.mission)
     lab.step(1.0)
     assert lab.requests.ending and lab.progress(number) is Progress.UNDER_WAY
     lab.run.robots[1].refuses = frozenset()
@@ -230,7 +237,7 @@ def test_a_run_ends_when_all_heard_robots_rest() -> None:
 
 def test_a_failed_thruster_test_names_the_thruster() -> None:
     lab = Asked()
-    number = lab.ask(Order.TEST)
+    number = lab.ask(CommandKind.TEST)
     lab.run.mission.state = MissionState.WAITING  # as if it were over
     fleet = lab.run.fleet()
     for robot, result in ((1, "passed"), (2, "thruster 3: no current")):
@@ -246,8 +253,8 @@ def test_a_failed_thruster_test_names_the_thruster() -> None:
 def test_the_last_outcomes_are_kept_and_no_more() -> None:
     lab = Asked()
     for _ in range(KEPT):
-        lab.ask(Order.STOP)
-        lab.ask(Order.CLEAR_STOP)
+        lab.ask(CommandKind.STOP)
+        lab.ask(CommandKind.CLEAR_STOP)
     robots = len(lab.run.robots)
     assert [o.request for o in lab.requests.recent] == list(range(KEPT - robots, 2 * KEPT + 1))  # the last is not over
     assert lab.requests.outcome(1) is None
@@ -257,8 +264,8 @@ def test_requests_that_are_under_way_are_known_however_many_there_are() -> None:
     """Each robot of a large fleet is sent somewhere by a terminal of its own; all are told the end when a STOP ends all at
     once."""
     lab = Asked(requests=RequestTracker(tuple(range(1, 50))))
-    lab.ask(Order.START)
-    tasks = [RobotTask(Order.GO, 0) for _ in range(49)]
+    lab.ask(CommandKind.START)
+    tasks = [RobotTask(CommandKind.GO, 0) for _ in range(49)]
     numbers = [lab.requests.begin_task(1, task, lab.run.mission) for task in tasks]
     lab.look()
     assert all(lab.progress(number) is Progress.UNDER_WAY for number in numbers)
@@ -270,8 +277,8 @@ def test_requests_that_are_under_way_are_known_however_many_there_are() -> None:
 
 def test_an_answer_about_gains_is_no_refusal_of_the_mission() -> None:
     lab = Asked()
-    number = lab.ask(Order.ARM)
-    answers = [CommandResult(Command(order, 2), Reply(2, False, order.name)) for order in (Order.LOAD, Order.TUNE)]
+    number = lab.ask(CommandKind.ARM)
+    answers = [CommandResult(Command(order, 2), Reply(2, False, order.name)) for order in (CommandKind.LOAD, CommandKind.TUNE)]
     lab.requests.follow(lab.run.mission, lab.run.fleet(), lab.tuning, answers)
     assert lab.outcome(number).why == ("is disarmed", "LOAD")
 
@@ -281,7 +288,7 @@ def test_a_return_without_one_robot_fails_and_names_it(fit: bool) -> None:
     lab = Asked()
     lab.run.step(0.2)
     lab.run.robots[2].verified = fit
-    number = lab.ask(Order.RETURN)
+    number = lab.ask(CommandKind.RETURN)
     lab.step(0.5)
     line = np.zeros((20, 4))
     home = {
@@ -303,7 +310,7 @@ def test_a_form_is_done_only_when_it_is_flown_also_where_a_gap_closes_meanwhile(
     """A robot is lost while another form is planned, and the others close up: into the form that was asked for."""
     fleet = SimulatedFleet(an_experiment("close-up", THREE, PLACES))
 
-    def ask(order: Order, form: str = "") -> int:
+    def ask(order: CommandKind, form: str = "") -> int:
         reason, number = fleet.core.request(order, fleet.fleet, fleet.now_ns, text=form)
         assert not reason, reason
         return number
@@ -312,15 +319,15 @@ def test_a_form_is_done_only_when_it_is_flown_also_where_a_gap_closes_meanwhile(
         return float(np.linalg.norm(fleet.robots[1].eta[:3] - fleet.robots[2].eta[:3]))
 
     fleet.run(1.0)
-    ask(Order.START)
+    ask(CommandKind.START)
     fleet.run(6.0)
     assert fleet.mission.state.name == "RUNNING" and apart_m() == pytest.approx(0.9, abs=0.05)
     if held:
-        ask(Order.HOLD)
+        ask(CommandKind.HOLD)
         fleet.run(3.0)
     fleet.robots[3].alive = False
     fleet.run(0.2)  # not noticed yet
-    number = ask(Order.FORMATION, "line 1.2")
+    number = ask(CommandKind.FORMATION, "line 1.2")
     while (outcome := fleet.core.requests.outcome(number)) is not None and outcome.progress is Progress.UNDER_WAY:
         fleet.step()
     assert outcome is not None and outcome.progress is Progress.DONE and outcome.confirmed == (1, 2), outcome
@@ -335,7 +342,7 @@ def test_a_rejoin_fails_when_its_robot_is_lost_again() -> None:
     lab.step(0.5)
     lab.run.robots[2].silent = False
     lab.step(0.2)
-    number = lab.ask(Order.REJOIN)
+    number = lab.ask(CommandKind.REJOIN)
     lab.step(0.2)
     lab.run.robots[2].silent = True
     lab.step(0.3)
@@ -348,7 +355,7 @@ def test_a_rejoin_fails_when_its_robot_is_lost_again() -> None:
 
 def test_a_disarm_that_a_robot_cannot_confirm_any_more_fails_with_its_reason() -> None:
     lab = Asked()
-    number = lab.ask(Order.DISARM)
+    number = lab.ask(CommandKind.DISARM)
     lab.run.step(1.0)
     assert lab.run.at(MissionState.CANCELLED)
     lab.run.robots[2].silent = True
@@ -358,9 +365,9 @@ def test_a_disarm_that_a_robot_cannot_confirm_any_more_fails_with_its_reason() -
 
 def test_a_robot_that_is_not_disarmed_is_named_once() -> None:
     lab = Asked()
-    lab.run.robots[2].refuses = frozenset({Order.DISARM})
+    lab.run.robots[2].refuses = frozenset({CommandKind.DISARM})
     lab.fly()
-    lab.ask(Order.DISARM)
+    lab.ask(CommandKind.DISARM)
     lab.step(25.0)
     assert lab.run.at(MissionState.FAILED)
     assert lab.run.mission.reason.count("robot 2 does not follow DISARM") == 1

@@ -10,7 +10,7 @@ from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.single_robot import VELOCITY_LASTS_S, SingleRobotControl
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import RobotView
-from shoal.messages.messages import DriveVelocity, Mode, Order, Progress, required
+from shoal.messages.messages import CommandKind, DriveVelocity, Mode, Progress, required
 from tests.groundstation.mission.mission_run import MissionRun
 
 AHEAD = DriveVelocity(surge_mps=0.2)
@@ -53,24 +53,24 @@ class LedRun(MissionRun):
             commands = self.single.step(self.fleet(), self.for_one, self.now_ns)
             self.for_one = [CommandResult(c, self.robots[c.robot].obey(c, self.now_ns)) for c in commands]
 
-    def ask(self, order: Order, robot: int = 2, place_m: tuple[float, float] | None = None) -> str:
+    def ask(self, order: CommandKind, robot: int = 2, place_m: tuple[float, float] | None = None) -> str:
         return self.single.request(order, robot, self.fleet(), self.now_ns, place_m)
 
     def drive(self, velocity: DriveVelocity = AHEAD, robot: int = 2) -> str:
         return self.single.drive(robot, velocity, self.fleet(), self.now_ns)
 
     def fly(self) -> None:
-        assert self.mission.request(Order.START, self.fleet(), self.now_ns) == ""
+        assert self.mission.request(CommandKind.START, self.fleet(), self.now_ns) == ""
         self.step(2.0)
         assert self.at(MissionState.RUNNING)
 
-    def got(self, robot: int) -> list[Order]:
+    def got(self, robot: int) -> list[CommandKind]:
         return [command.order for command in self.robots[robot].got]
 
 
 def test_one_robot_is_armed_held_driven_and_disarmed_while_the_mission_waits() -> None:
     run = LedRun()
-    for order, mode in ((Order.ARM, Mode.ARMED), (Order.HOLD, Mode.HOLDING)):
+    for order, mode in ((CommandKind.ARM, Mode.ARMED), (CommandKind.HOLD, Mode.HOLDING)):
         assert run.ask(order) == ""
         run.step(0.2)
         assert run.in_mode(2, mode)
@@ -79,9 +79,9 @@ def test_one_robot_is_armed_held_driven_and_disarmed_while_the_mission_waits() -
     run.step(0.1)
     assert run.in_mode(2, Mode.DRIVEN)
     assert run.single.status() == {2: "driven"}
-    refused = run.mission.request(Order.START, run.fleet(), run.now_ns)
+    refused = run.mission.request(CommandKind.START, run.fleet(), run.now_ns)
     assert refused == "robot 2 is led by a person: let it hold first"
-    assert run.ask(Order.DISARM) == ""
+    assert run.ask(CommandKind.DISARM) == ""
     run.step(0.2)
     assert run.in_mode(2, Mode.DISARMED)
     assert run.got(1) == []
@@ -90,7 +90,7 @@ def test_one_robot_is_armed_held_driven_and_disarmed_while_the_mission_waits() -
 
 def test_a_state_that_comes_late_confirms_a_request_that_was_made_before_it_was_sent() -> None:
     run = LedRun()
-    assert run.ask(Order.ARM) == ""
+    assert run.ask(CommandKind.ARM) == ""
     run.robots[2].age_s = 0.4  # too old to count as heard
     progress = []
     for _ in range(2):
@@ -101,15 +101,15 @@ def test_a_state_that_comes_late_confirms_a_request_that_was_made_before_it_was_
 
 def test_a_velocity_that_is_not_repeated_ends_in_a_hold() -> None:
     run = LedRun()
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
     run.drive()
     run.step(VELOCITY_LASTS_S)
-    sent = [command for command in run.robots[2].got if command.order is Order.DRIVE]
+    sent = [command for command in run.robots[2].got if command.order is CommandKind.DRIVE]
     assert sent and all(command.time_to_live_s <= VELOCITY_LASTS_S for command in sent)
     run.step(0.2)
     assert run.in_mode(2, Mode.HOLDING)
-    assert run.got(2)[-1] is Order.HOLD
+    assert run.got(2)[-1] is CommandKind.HOLD
     run.step(1.0)
     assert run.single.led == frozenset()
 
@@ -117,7 +117,7 @@ def test_a_velocity_that_is_not_repeated_ends_in_a_hold() -> None:
 def test_a_zero_velocity_is_a_hold_and_of_a_robot_that_is_not_driven_nothing() -> None:
     run = LedRun()
     assert run.drive(DriveVelocity()) == ""
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
     run.drive()
     run.step(0.2)
@@ -137,10 +137,10 @@ def test_a_robot_led_in_flight_leaves_the_formation_and_the_other_flies_on() -> 
     assert run.in_mode(1, Mode.TRACKING)
     assert run.mission.roster.lost == {2: "led by a person"}
     assert run.at(MissionState.DEGRADED)
-    assert run.ask(Order.HOLD, robot=1) == "robot 1 is the only one that flies: hold or disarm the fleet instead"
+    assert run.ask(CommandKind.HOLD, robot=1) == "robot 1 is the only one that flies: hold or disarm the fleet instead"
     run.step(1.0)
     assert run.in_mode(2, Mode.HOLDING)
-    assert run.mission.request(Order.REJOIN, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.REJOIN, run.fleet(), run.now_ns) == ""
     assert run.mission.roster.lost == {}
 
 
@@ -165,24 +165,24 @@ def test_a_robot_is_led_on_while_the_formation_takes_another_path_or_flies_home(
 def test_a_robot_led_while_all_hold_keeps_its_place_in_the_formation() -> None:
     run = LedRun()
     run.fly()
-    run.mission.request(Order.HOLD, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
     run.step(0.5)
     assert run.drive() == ""
     run.step(0.2)
     assert run.in_mode(2, Mode.DRIVEN)  # the paused mission does not call it back
     assert run.mission.roster.lost == {}
-    assert "robot 2 does not hold yet" in run.mission.request(Order.RESUME, run.fleet(), run.now_ns)
+    assert "robot 2 does not hold yet" in run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns)
     run.step(1.0)
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
 
 
 def test_a_stop_of_the_fleet_ends_what_one_robot_does() -> None:
     run = LedRun()
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
     run.drive()
     run.step(0.1)
-    run.mission.request(Order.STOP, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.STOP, run.fleet(), run.now_ns)
     run.step(0.2)
     assert run.in_mode(2, Mode.STOPPED)
     assert run.single.tasks[2].reason == "the mission is emergency stop"
@@ -193,11 +193,11 @@ def test_a_stop_of_the_fleet_ends_what_one_robot_does() -> None:
 
 def test_a_robot_sent_to_a_place_holds_plans_flies_and_holds_there() -> None:
     run = LedRun()
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
-    assert run.ask(Order.GO, place_m=(0.5, 0.8)) == ""
+    assert run.ask(CommandKind.GO, place_m=(0.5, 0.8)) == ""
     run.step(1.0)
-    assert run.got(2) == [Order.ARM, Order.HOLD, Order.LOAD, Order.START]
+    assert run.got(2) == [CommandKind.ARM, CommandKind.HOLD, CommandKind.LOAD, CommandKind.START]
     trajectory, end_s = run.single.trips[2]
     assert trajectory.eta[-1, :2] == pytest.approx((0.5, 0.8), abs=1e-3)
     assert run.single.status() == {2: "on its way to 0.50, 0.80 m"}
@@ -211,24 +211,24 @@ def test_a_robot_sent_to_a_place_holds_plans_flies_and_holds_there() -> None:
 def test_a_robot_of_unknown_place_is_not_taken_to_be_in_the_pools_middle() -> None:
     """It was never heard, or says that it does not know where it is while no camera sees it."""
     run = LedRun()
-    for order in (Order.ARM, Order.HOLD):
+    for order in (CommandKind.ARM, CommandKind.HOLD):
         assert run.ask(order) == ""
         run.step(0.2)
     view_of_1 = run.fleet()[1]
     lost = replace(view_of_1, state=replace(required(view_of_1.state), estimate=None), pose=None)
     for view in (RobotView(), lost):
         fleet = run.fleet() | {1: view}
-        assert run.single.request(Order.GO, 2, fleet, run.now_ns, (0.0, 0.0)) == ""
+        assert run.single.request(CommandKind.GO, 2, fleet, run.now_ns, (0.0, 0.0)) == ""
         assert run.mission.plans.monitor.discs_to_avoid([view]).shape == (0, 3)
-    assert "from robot 1" in run.ask(Order.GO, place_m=(-0.4, 0.0))
+    assert "from robot 1" in run.ask(CommandKind.GO, place_m=(-0.4, 0.0))
 
 
 def test_a_robot_that_lags_may_come_up_and_one_that_something_keeps_away_has_not_arrived() -> None:
     """A robot that yields to another has no fault, and its clock goes on."""
     run = LedRun()
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
-    assert run.ask(Order.GO, place_m=(0.5, 0.8)) == ""
+    assert run.ask(CommandKind.GO, place_m=(0.5, 0.8)) == ""
     run.step(1.0)
     run.stuck, run.nu[2] = {2}, (0.05, 0.0, 0.0, 0.0)
     _, end_s = run.single.trips[2]
@@ -247,9 +247,9 @@ def test_two_robots_that_are_sent_away_wait_for_plans_longer_than_for_an_answer(
     time."""
     run = LedRun()
     for robot in (1, 2):
-        run.ask(Order.ARM, robot)
+        run.ask(CommandKind.ARM, robot)
     run.step(0.2)
-    assert run.ask(Order.GO, 1, (-0.5, -0.8)) == run.ask(Order.GO, 2, (0.5, 0.8)) == ""
+    assert run.ask(CommandKind.GO, 1, (-0.5, -0.8)) == run.ask(CommandKind.GO, 2, (0.5, 0.8)) == ""
     run.nu[2] = (0.05, 0.0, 0.0, 0.0)
     run.plan_takes_s = 9.0
     run.step(18.5)
@@ -262,25 +262,25 @@ def test_two_robots_that_are_sent_away_wait_for_plans_longer_than_for_an_answer(
 def test_requests_that_cannot_be_are_refused_with_the_reason() -> None:
     run = LedRun()
     assert "robot 2 is DISARMED: arm it first" in run.drive()
-    assert "no robot 7" in run.ask(Order.ARM, robot=7)
-    assert "START is not for one robot (allowed: ARM, HOLD, DISARM, GO, OUT, BACK_IN)" in run.ask(Order.START)
+    assert "no robot 7" in run.ask(CommandKind.ARM, robot=7)
+    assert "START is not for one robot (allowed: ARM, HOLD, DISARM, GO, OUT, BACK_IN)" in run.ask(CommandKind.START)
     run.robots[2].battery_v = 10.0
-    assert "battery 10.0 V" in run.ask(Order.ARM)
+    assert "battery 10.0 V" in run.ask(CommandKind.ARM)
     run.robots[2].battery_v = 12.0
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
-    assert "where to?" in run.ask(Order.GO)
-    assert "(9, 0) m is outside the pool" in run.ask(Order.GO, place_m=(9.0, 0.0))
-    assert "less than 0.6 m from robot 1" in run.ask(Order.GO, place_m=(0.1, 0.0))
+    assert "where to?" in run.ask(CommandKind.GO)
+    assert "(9, 0) m is outside the pool" in run.ask(CommandKind.GO, place_m=(9.0, 0.0))
+    assert "less than 0.6 m from robot 1" in run.ask(CommandKind.GO, place_m=(0.1, 0.0))
     run.robots[2].silent = True
     assert "robot 2 is not heard" in run.drive()
 
 
 def test_a_robot_that_holds_on_its_way_fails_the_request_with_its_reason() -> None:
     run = LedRun()
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
-    run.ask(Order.GO, place_m=(0.5, 0.8))
+    run.ask(CommandKind.GO, place_m=(0.5, 0.8))
     run.step(1.5)
     assert run.in_mode(2, Mode.TRACKING)
     run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, "pose late"
@@ -292,10 +292,10 @@ def test_a_robot_that_holds_on_its_way_fails_the_request_with_its_reason() -> No
 def test_a_hold_of_the_fleet_holds_a_robot_that_is_led_alone() -> None:
     run = LedRun()
     run.fly()
-    run.ask(Order.GO, place_m=(0.5, 1.0))
+    run.ask(CommandKind.GO, place_m=(0.5, 1.0))
     run.step(2.0)
     assert run.in_mode(2, Mode.TRACKING)
-    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert {robot.mode for robot in run.robots.values()} == {Mode.HOLDING}
     assert run.single.tasks[2].progress is Progress.FAILED
@@ -304,43 +304,43 @@ def test_a_hold_of_the_fleet_holds_a_robot_that_is_led_alone() -> None:
 def test_a_trip_of_its_own_is_no_progress_of_the_formation() -> None:
     run = LedRun()
     run.fly()
-    run.mission.request(Order.HOLD, run.fleet(), run.now_ns)
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
     run.step(0.5)
     held_s = run.mission.plans.progress_s
     for robot, place_m in ((2, (0.5, 1.0)), (1, (-0.5, -1.0))):
-        assert run.ask(Order.GO, robot, place_m) == ""
+        assert run.ask(CommandKind.GO, robot, place_m) == ""
         while robot in run.single.led:
             run.step(0.5)
         assert run.robots[robot].trajectory_s > held_s
         run.robots[robot].eta = (*place_m, 0.3, 0.0)
     assert run.mission.plans.progress_s == held_s
-    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     assert "has another plan" in run.mission.reason
 
 
 def test_another_request_ends_a_task_and_tells_it_so() -> None:
     """A terminal sends robot 2 somewhere; at the page somebody drives it, and lets go."""
     run = LedRun()
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
-    run.ask(Order.GO, place_m=(0.5, 0.8))
+    run.ask(CommandKind.GO, place_m=(0.5, 0.8))
     sent = run.single.tasks[2]
     run.step(2.0)
     assert run.drive() == ""
     run.step(2.0)
     assert (sent.progress, sent.reason) == (Progress.FAILED, "DRIVE was asked for instead")
     driven = run.single.tasks[2]
-    assert (driven.order, driven.progress) == (Order.DRIVE, Progress.DONE)
+    assert (driven.order, driven.progress) == (CommandKind.DRIVE, Progress.DONE)
     assert run.in_mode(2, Mode.HOLDING)
 
 
 def test_a_drive_that_was_ended_by_a_hold_goes_on_only_after_letting_go() -> None:
     run = LedRun()
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
     run.drive()
     run.step(0.1)
-    assert run.ask(Order.HOLD) == ""
+    assert run.ask(CommandKind.HOLD) == ""
     for _ in range(10):  # the key is still held down
         assert run.drive() == "HOLD was asked for instead: let go first"
         run.step(0.1)
@@ -353,9 +353,9 @@ def test_a_drive_that_was_ended_by_a_hold_goes_on_only_after_letting_go() -> Non
 def test_a_robot_whose_task_has_failed_in_flight_is_held() -> None:
     """Its states do not arrive for a moment; then it is heard again, flying, and the mission waits for the fleet."""
     run = LedRun()
-    run.ask(Order.ARM)
+    run.ask(CommandKind.ARM)
     run.step(0.2)
-    run.ask(Order.GO, place_m=(0.5, 0.8))
+    run.ask(CommandKind.GO, place_m=(0.5, 0.8))
     run.step(1.5)
     assert run.in_mode(2, Mode.TRACKING)
     run.robots[2].silent = True
@@ -370,9 +370,9 @@ def test_a_robot_whose_task_has_failed_in_flight_is_held() -> None:
 def test_a_formation_that_makes_itself_a_new_plan_ends_no_request_for_the_robot_that_left_it() -> None:
     run = LedRun('path={kind="waypoints",points_m=[[0.0,0.0],[0.6,0.0],[0.6,0.4]],speed_mps=0.1,depth_m=0.3}')
     run.fly()
-    assert run.ask(Order.DISARM) == ""
+    assert run.ask(CommandKind.DISARM) == ""
     run.mission.step(run.fleet(), (), run.now_ns)
-    assert run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
+    assert run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
     assert run.at(MissionState.SWITCHING)
     run.step(0.2)
     assert run.in_mode(2, Mode.DISARMED)
@@ -383,10 +383,10 @@ def test_a_formation_that_makes_itself_a_new_plan_ends_no_request_for_the_robot_
 def test_a_disarm_that_the_missions_own_overtakes_is_done_with_it(lost: str) -> None:
     run = LedRun(f'mission.lost="{lost}"')
     run.fly()
-    assert run.ask(Order.DISARM) == ""
+    assert run.ask(CommandKind.DISARM) == ""
     run.robots[1].silent = lost == "abort"
     if lost == "go-on":
-        assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+        assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step()
     assert run.at(MissionState.ABORTING if lost == "abort" else MissionState.ENDING)
     run.step(0.5)
@@ -396,7 +396,7 @@ def test_a_disarm_that_the_missions_own_overtakes_is_done_with_it(lost: str) -> 
 
 def test_a_robot_that_is_led_alone_holds_when_its_poses_are_another_experiments() -> None:
     run = LedRun()
-    assert run.ask(Order.ARM) == ""
+    assert run.ask(CommandKind.ARM) == ""
     run.step(0.2)
     assert run.drive() == ""
     run.step(0.2)
@@ -404,6 +404,6 @@ def test_a_robot_that_is_led_alone_holds_when_its_poses_are_another_experiments(
     run.robots[2].localizer_hash = "another one"
     run.step(0.2)
     assert run.in_mode(2, Mode.HOLDING) and run.single.tasks[2].progress is Progress.FAILED
-    for refused in (run.drive(), run.ask(Order.GO, place_m=(1.0, 0.5))):
+    for refused in (run.drive(), run.ask(CommandKind.GO, place_m=(1.0, 0.5))):
         assert refused.startswith("robot 2: its poses are by another experiment")
-    assert run.ask(Order.DISARM) == ""
+    assert run.ask(CommandKind.DISARM) == ""

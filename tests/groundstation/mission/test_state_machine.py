@@ -17,10 +17,10 @@ from groundstation.mission.state_machine import (
     rejection_reason,
     states_allowing,
 )
-from shoal.messages.messages import Order
+from shoal.messages.messages import CommandKind
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "mission-states.md").read_text(encoding="utf-8")
-CAUSES: tuple[Order | MissionEvent, ...] = (*Order, *MissionEvent)
+CAUSES: tuple[CommandKind | MissionEvent, ...] = (*CommandKind, *MissionEvent)
 WAITS = (
     frozenset(
         {
@@ -87,7 +87,7 @@ def test_every_pair_of_state_and_cause_leads_where_the_page_says() -> None:
     page = documented()
     for state in MissionState:
         for cause in CAUSES:
-            name = cause.name if isinstance(cause, Order) else cause.value
+            name = cause.name if isinstance(cause, CommandKind) else cause.value
             assert next_state(state, cause) is page.get((state, name)), (state, cause)
 
 
@@ -103,9 +103,13 @@ def test_no_state_is_a_trap_and_every_state_is_reached() -> None:
 
 
 def test_stop_counts_everywhere_and_only_a_person_clears_it() -> None:
-    assert states_allowing(Order.STOP) == set(MissionState)
+    assert states_allowing(CommandKind.STOP) == set(MissionState)
     assert all(next_state(MissionState.STOPPED, event) is None for event in MissionEvent)
-    assert {next_state(MissionState.STOPPED, order) for order in Order} == {None, MissionState.STOPPED, MissionState.CLEARING}
+    assert {next_state(MissionState.STOPPED, order) for order in CommandKind} == {
+        None,
+        MissionState.STOPPED,
+        MissionState.CLEARING,
+    }
 
 
 def test_no_event_restarts_a_finished_mission() -> None:
@@ -124,12 +128,14 @@ def test_every_state_is_driven() -> None:
 
 
 def test_a_refusal_names_the_states_that_would_do() -> None:
-    assert rejection_reason(Order.HOLD, MissionState.RUNNING) == ""
-    assert rejection_reason(Order.RESUME, MissionState.RUNNING) == "RESUME is not possible when RUNNING (only when PAUSED)"
-    assert "allowed: LOAD" in rejection_reason(Order.SWITCH, MissionState.RUNNING)
+    assert rejection_reason(CommandKind.HOLD, MissionState.RUNNING) == ""
+    assert (
+        rejection_reason(CommandKind.RESUME, MissionState.RUNNING) == "RESUME is not possible when RUNNING (only when PAUSED)"
+    )
+    assert "allowed: LOAD" in rejection_reason(CommandKind.SWITCH, MissionState.RUNNING)
 
 
 @pytest.mark.parametrize("state", [state for state in MissionState if state in IN_FLIGHT])
 def test_flying_robots_can_be_held_and_disarmed(state: MissionState) -> None:
-    assert next_state(state, Order.HOLD) is MissionState.PAUSED
-    assert next_state(state, Order.DISARM) is MissionState.ENDING
+    assert next_state(state, CommandKind.HOLD) is MissionState.PAUSED
+    assert next_state(state, CommandKind.DISARM) is MissionState.ENDING

@@ -18,7 +18,7 @@ from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
 from shoal.messages.codec import decode, encode
-from shoal.messages.messages import Command, Estimate, Order, RobotState, Trajectory
+from shoal.messages.messages import Command, CommandKind, Estimate, RobotState, Trajectory
 from tests.groundstation.planning.smoothness import check_smooth
 
 PERIOD_S = 0.05
@@ -246,7 +246,7 @@ def test_a_plan_from_rest_in_the_longest_run_is_a_message_or_refused(progress_s:
         return
     assert fits
     for trajectory in segment.trajectories.values():
-        load = Command(Order.LOAD, robot=1, trajectory=trajectory)
+        load = Command(CommandKind.LOAD, robot=1, trajectory=trajectory)
         assert decode(Command, encode(load), "station", "command").trajectory is not None
 
 

@@ -23,10 +23,10 @@ from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import (
     Command,
+    CommandKind,
     Estimate,
     Event,
     Mode,
-    Order,
     Outcome,
     Pose,
     Progress,
@@ -78,7 +78,7 @@ def test_each_request_of_a_terminal_is_a_method_and_the_same_command(
 ) -> None:
     method = METHODS.get(name, name.replace("-", "_"))
     assert getattr(fleet, method)().confirmed == (1, 2)
-    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper().replace("-", "_")], 0)]
+    assert [(c.order, c.robot) for c in station.commands] == [(CommandKind[name.upper().replace("-", "_")], 0)]
 
 
 def test_another_path_is_loaded_by_name_or_file_with_settings_and_needs_no_camera(
@@ -90,7 +90,7 @@ def test_another_path_is_loaded_by_name_or_file_with_settings_and_needs_no_camer
     del table["camera"], table["localizer"]["uses_camera"]
     (tmp_path / "lab.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
     fleet.load(str(tmp_path / "lab.toml"))
-    assert [c.order for c in station.commands] == [Order.PATH, Order.PATH]
+    assert [c.order for c in station.commands] == [CommandKind.PATH, CommandKind.PATH]
     names, texts = ("pool", "numeric"), [c.text for c in station.commands]
     first, second = (with_flight(load_experiment(name), text) for name, text in zip(names, texts, strict=True))
     assert isinstance(first.path, Circle) and first.path.lap_s == 80.0
@@ -109,7 +109,7 @@ def test_a_request_for_one_robot_goes_to_the_station_and_names_it(
     fleet: ConnectedFleet, station: PlayedStation, name: str
 ) -> None:
     getattr(fleet, name)(robot=2)
-    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper()], 2)]
+    assert [(c.order, c.robot) for c in station.commands] == [(CommandKind[name.upper()], 2)]
 
 
 def test_one_robot_is_sent_to_a_place(fleet: ConnectedFleet, station: PlayedStation) -> None:

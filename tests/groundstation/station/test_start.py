@@ -15,7 +15,7 @@ import pytest
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
-from shoal.messages.messages import Command, Order
+from shoal.messages.messages import Command, CommandKind
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
 
@@ -62,7 +62,7 @@ def test_the_stop_gets_through_while_the_terminal_is_stopped(tmp_path: Path) -> 
         read_until(person, "waiting for the fleet")
         os.write(person, b"\x13")  # Ctrl-S
         with Bus(ZenohTransport(Endpoint(address))) as bus:
-            for order in (Order.HOLD, Order.STOP):
+            for order in (CommandKind.HOLD, CommandKind.STOP):
                 reply = bus.command(Command(order, 0), time.time_ns(), 20.0)
                 assert not reply.silent
             assert reply.accepted

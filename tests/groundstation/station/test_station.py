@@ -39,9 +39,9 @@ from shoal.messages.messages import (
     BoardReading,
     CameraHealth,
     Command,
+    CommandKind,
     LocalizerStatus,
     Mode,
-    Order,
     Outcome,
     Pose,
     Progress,
@@ -196,7 +196,7 @@ def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) ->
         planning = threading.Thread(target=cycle)
         planning.start()
         assert begun.wait(PATIENCE_S)
-        reason, _ = station.request(Order.STOP)
+        reason, _ = station.request(CommandKind.STOP)
         assert (reason, planning.is_alive()) == ("", True)
         late.set()
         planning.join(PATIENCE_S)
@@ -228,7 +228,7 @@ class ObedientFleet:
     def __init__(self, hub: MemoryHub, experiment: Experiment) -> None:
         self.bus, self.experiment = Bus(MemoryTransport(hub)), experiment
         self.modes = dict.fromkeys(experiment.robot_ids, Mode.DISARMED)
-        self.got: list[tuple[int, Order]] = []
+        self.got: list[tuple[int, CommandKind]] = []
         for robot in experiment.robot_ids:
             self.bus.serve(robot, lambda header, command: self.obey(command))
 
@@ -276,15 +276,15 @@ def end_by_interruption(station: Station, stop: Stop, fleet: ObedientFleet) -> N
 
 
 LEADS = {
-    Order.ARM: Mode.ARMED,
-    Order.HOLD: Mode.HOLDING,
-    Order.STOP: Mode.STOPPED,
-    Order.CLEAR_STOP: Mode.DISARMED,
-    Order.DISARM: Mode.DISARMED,
+    CommandKind.ARM: Mode.ARMED,
+    CommandKind.HOLD: Mode.HOLDING,
+    CommandKind.STOP: Mode.STOPPED,
+    CommandKind.CLEAR_STOP: Mode.DISARMED,
+    CommandKind.DISARM: Mode.DISARMED,
 }
 
 
-def asked(station: Station, order: Order) -> int:
+def asked(station: Station, order: CommandKind) -> int:
     reason, number = station.request(order)
     assert reason == ""
     return number
@@ -292,7 +292,7 @@ def asked(station: Station, order: Order) -> int:
 
 def outcome(station: Station, number: int) -> Outcome:
     """As a terminal asks for it."""
-    reply = station.on_operator_command(Header(9, 1, 0), Command(Order.NONE, WHOLE_FLEET, about=number))
+    reply = station.on_operator_command(Header(9, 1, 0), Command(CommandKind.NONE, WHOLE_FLEET, about=number))
     assert reply.accepted and reply.outcome is not None
     return reply.outcome
 
@@ -305,19 +305,21 @@ def test_a_stop_reaches_the_robots_while_all_other_threads_work(tmp_path: Path, 
         fleet, send = ObedientFleet(hub, station.experiment), station.bus.send_command
 
         def lossy(command: Command, stamp_ns: int, timeout_s: float, to: int | None = None) -> Callable[[], Reply]:
-            if command.order is Order.STOP and lost.count(command.robot) < MAX_UNANSWERED:
+            if command.order is CommandKind.STOP and lost.count(command.robot) < MAX_UNANSWERED:
                 lost.append(command.robot)
                 return lambda: Reply(command.robot, False, silent=True)
             return send(command, stamp_ns, timeout_s, to)
 
         monkeypatch.setattr(station.bus, "send_command", lossy)
-        safe = (Order.STOP, Order.DISARM, Order.HOLD)
-        assert {station.workers.of(order) for order in Order if order not in safe}.isdisjoint(map(station.workers.of, safe))
+        safe = (CommandKind.STOP, CommandKind.DISARM, CommandKind.HOLD)
+        assert {station.workers.of(order) for order in CommandKind if order not in safe}.isdisjoint(
+            map(station.workers.of, safe)
+        )
         for threads in (station.workers.orders, station.workers.plans):
             for _ in range(2 * MAX_UNANSWERED * COMMAND_KINDS * len(station.experiment.robot_ids)):
                 threads.submit(free.wait, PATIENCE_S)
         try:
-            number = asked(station, Order.STOP)
+            number = asked(station, CommandKind.STOP)
             fleet.until(station, lambda: outcome(station, number).progress is Progress.DONE)
             assert outcome(station, number).confirmed == (1, 2)
             assert not free.is_set()
@@ -342,13 +344,13 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
     with a_station(tmp_path) as station:
         monkeypatch.setattr(station.bus, "send_command", silent)
         try:
-            asked(station, Order.STOP)
+            asked(station, CommandKind.STOP)
             for k in range(100):
                 station.cycle(k * 1_000_000_000)  # each would ask anew
             assert len(station.pending) == MAX_UNANSWERED * 2
         finally:
             free.set()
-    assert out == [Order.STOP] * MAX_UNANSWERED * 2
+    assert out == [CommandKind.STOP] * MAX_UNANSWERED * 2
     assert timeouts_s == {MAX_UNANSWERED * RETRY_S}, "later, a stop would be repeated less often than every RETRY_S"
 
 
@@ -365,7 +367,7 @@ class JustAnswered(Future[Reply]):
 def test_a_reply_that_comes_while_replies_are_collected_is_taken_once(tmp_path: Path) -> None:
     """A lost reply to an ARM would let a robot be armed a second time that was started again meanwhile."""
     with a_station(tmp_path) as station:
-        station.pending = [(Command(Order.ARM, 2), JustAnswered())]
+        station.pending = [(Command(CommandKind.ARM, 2), JustAnswered())]
         for k in range(3):
             station.cycle((k + 1) * 1_000_000)
         assert station.mission._powered_ns == {2: 2_000_000}  # the mission's own memory: nothing else tells it
@@ -374,14 +376,14 @@ def test_a_reply_that_comes_while_replies_are_collected_is_taken_once(tmp_path: 
 
 def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
-        reply = station.on_operator_command(Header(9, 1, 0), Command(Order.STOP, WHOLE_FLEET))
+        reply = station.on_operator_command(Header(9, 1, 0), Command(CommandKind.STOP, WHOLE_FLEET))
         assert reply.accepted and reply.outcome is not None
-        assert outcome(station, reply.outcome.request).order is Order.STOP
-        unknown = station.on_operator_command(Header(9, 2, 0), Command(Order.NONE, WHOLE_FLEET, about=77))
+        assert outcome(station, reply.outcome.request).order is CommandKind.STOP
+        unknown = station.on_operator_command(Header(9, 2, 0), Command(CommandKind.NONE, WHOLE_FLEET, about=77))
         assert (unknown.accepted, unknown.reason) == (False, "request 77 is not known here (any more)")
-        refused = station.on_operator_command(Header(9, 3, 0), Command(Order.RESUME, WHOLE_FLEET))
+        refused = station.on_operator_command(Header(9, 3, 0), Command(CommandKind.RESUME, WHOLE_FLEET))
         assert not refused.accepted and refused.outcome is None
-        nothing = station.on_operator_command(Header(9, 4, 0), Command(Order.NONE, WHOLE_FLEET))
+        nothing = station.on_operator_command(Header(9, 4, 0), Command(CommandKind.NONE, WHOLE_FLEET))
         assert not nothing.accepted
 
 
@@ -393,14 +395,14 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
         fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
         operator = Bus(MemoryTransport(hub))
         station.bus.serve(WHOLE_FLEET, station.on_operator_command)
-        reply = operator.command(Command(Order.DISARM, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
+        reply = operator.command(Command(CommandKind.DISARM, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
         assert reply.accepted and reply.outcome is not None, reply.reason
         number = reply.outcome.request
         fleet.until(station, lambda: outcome(station, number).progress is Progress.DONE)
         assert (outcome(station, number).confirmed, fleet.modes) == ((2,), {1: Mode.HOLDING, 2: Mode.DISARMED})
-        refused = operator.command(Command(Order.START, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
+        refused = operator.command(Command(CommandKind.START, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
         assert refused.reason == "START is not for one robot (allowed: ARM, HOLD, DISARM, GO, OUT, BACK_IN)"
-        stop = operator.command(Command(Order.STOP, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
+        stop = operator.command(Command(CommandKind.STOP, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
         assert stop.outcome is not None
         fleet.until(station, lambda: set(fleet.modes.values()) == {Mode.STOPPED})
 
@@ -415,13 +417,13 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
             mode, MissionState.WAITING
         )
         fleet.until(station, lambda: all(view.heard for view in station.views.values()))
-        number = asked(station, Order.END)
+        number = asked(station, CommandKind.END)
         assert not station.ended
         assert station.request_gains(None, next_lap=False)[0] == "there is nothing to undo"
-        station.requests.begin(Order.TUNE, station.mission, station.tuner.status().flown.id)  # gains are no other end
+        station.requests.begin(CommandKind.TUNE, station.mission, station.tuner.status().flown.id)  # gains are no other end
         fleet.until(station, lambda: station.ended)
         assert outcome(station, number).progress is Progress.DONE
-        assert (Order.DISARM in [order for _, order in fleet.got]) is (mode is Mode.TRACKING)
+        assert (CommandKind.DISARM in [order for _, order in fleet.got]) is (mode is Mode.TRACKING)
         assert not any(m is Mode.TRACKING for m in fleet.modes.values())
         assert station.status().ended
 
@@ -439,7 +441,7 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         end_by_interruption(station, stop, fleet)
         for robot in fleet.modes:
             orders = [order for of, order in fleet.got if of == robot]
-            assert orders.index(Order.HOLD) < orders.index(Order.DISARM)
+            assert orders.index(CommandKind.HOLD) < orders.index(CommandKind.DISARM)
         assert set(fleet.modes.values()) == {Mode.DISARMED}
         lines = [record.message for record in caplog.records]
         told_to_end = next(k for k, line in enumerate(lines) if line.startswith("told to end while robots have power"))
@@ -458,8 +460,8 @@ def test_a_station_that_is_told_to_end_while_robots_are_being_armed_leaves_none_
         station.mission.state = state
         end_by_interruption(station, stop, fleet)
         assert station.mission.state not in (MissionState.LOADING, MissionState.ARMING)
-        orders = [order for robot, order in fleet.got if robot == 1 and order in (Order.ARM, Order.DISARM)]
-        assert orders[-1] is Order.DISARM and fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
+        orders = [order for robot, order in fleet.got if robot == 1 and order in (CommandKind.ARM, CommandKind.DISARM)]
+        assert orders[-1] is CommandKind.DISARM and fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
 
 
 def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
@@ -468,7 +470,7 @@ def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = {1: Mode.DISARMED, 2: Mode.HOLDING}
         fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
-        asked(station, Order.END)
+        asked(station, CommandKind.END)
         fleet.until(station, lambda: station.ended)
         assert fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
 
@@ -480,8 +482,8 @@ def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
         fleet.until(station, lambda: all(view.heard for view in station.views.values()))
-        number = asked(station, Order.END)
-        stop = asked(station, Order.STOP)
+        number = asked(station, CommandKind.END)
+        stop = asked(station, CommandKind.STOP)
         fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
         assert outcome(station, number).progress is Progress.FAILED
         assert not station.ended
@@ -497,7 +499,7 @@ def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alon
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         fleet.until(station, lambda: [view.mode for view in station.views.values()] == [Mode.TRACKING] * 2)
         station.mission.automatic, station.mission.state = True, MissionState.RUNNING
-        stop = asked(station, Order.STOP)
+        stop = asked(station, CommandKind.STOP)
         assert not end.reached()
         time.sleep(0.3)
         assert not end.reached()  # a robot that moves is never left alone
@@ -530,7 +532,7 @@ def test_a_run_without_a_robot_that_is_out_of_the_water_is_left_alone_too(
         assert not end.reached()
         time.sleep(0.3)
         assert not end.reached()  # robot 2 may be anywhere
-        assert station.request(Order.OUT, only=2)[0] == ""
+        assert station.request(CommandKind.OUT, only=2)[0] == ""
         fleet.until(station, end.reached)
 
 
@@ -565,7 +567,7 @@ def test_a_trip_of_one_robot_is_published_and_then_its_path_again(tmp_path: Path
     with a_station(tmp_path, hub) as station:
         segment = station.mission.segment
         alone = named_alone(segment.trajectories[2])
-        task = RobotTask(Order.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
+        task = RobotTask(CommandKind.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
         ids = []
         for leader in (Leader.MISSION, Leader.PERSON, Leader.MISSION):
             station.single.tasks[2], station.mission.roster.led_by[2] = task, leader
@@ -681,7 +683,7 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
     try:
         for _ in range(TRIES):  # a busy machine may take longer than a period now and then, but not every time
             before_ns = next_beat_ns(person, stop, beats)
-            assert person.command(Command(Order.STOP, WHOLE_FLEET), time.time_ns(), PATIENCE_S).accepted
+            assert person.command(Command(CommandKind.STOP, WHOLE_FLEET), time.time_ns(), PATIENCE_S).accepted
             gaps_s.append((next_beat_ns(person, stop, beats) - before_ns) * 1e-9)
             beat = beats.newest()
             assert beat is not None and beat.message.emergency_stop

@@ -17,7 +17,7 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import BoardReading, Mode, Order, Plan, Preview, RobotState, StepTiming, Trajectory
+from shoal.messages.messages import BoardReading, CommandKind, Mode, Plan, Preview, RobotState, StepTiming, Trajectory
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
 
 SECOND = 1_000_000_000
@@ -142,7 +142,7 @@ def test_an_ended_run_is_followed_by_what_is_offered_and_can_be_flown(run: Path,
 
 
 def test_a_recorded_run_takes_no_orders(replay: ReplayBackend) -> None:
-    assert replay.station.request(Order.STOP) == ("this is a recorded run", 0)
+    assert replay.station.request(CommandKind.STOP) == ("this is a recorded run", 0)
 
 
 def test_a_folder_without_a_run_is_refused_by_name(tmp_path: Path) -> None:

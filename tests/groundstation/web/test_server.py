@@ -36,7 +36,7 @@ from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import codec, topics
-from shoal.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
+from shoal.messages.messages import CommandKind, Event, Mode, Outcome, Preview, Progress, RobotState, Trajectory
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, body_fits
 from tests.groundstation.fake_station import FakeStation
@@ -61,11 +61,13 @@ class ServedStation(FakeStation):
     def say(self, robot: int = 1) -> None:
         self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
-        if self.blocked is not None and order is not Order.STOP:
+    def request(
+        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = ""
+    ) -> tuple[str, int]:
+        if self.blocked is not None and order is not CommandKind.STOP:
             self.blocked.wait(PATIENCE_S)
         accepted = super().request(order, via, only)
-        return ("not now", 0) if order is Order.HOLD else accepted
+        return ("not now", 0) if order is CommandKind.HOLD else accepted
 
     def request_gains(self, values: Any, next_lap: bool) -> tuple[str, int]:
         if self.blocked is not None:
@@ -267,7 +269,7 @@ def test_only_the_page_in_control_commands_and_all_may_stop(lab: ServedStation) 
     assert first.until(lambda f: f["k"] == "reply")["ok"]
     first.order(3, "hold")
     assert first.until(lambda f: f["k"] == "reply")["reason"] == "not now"
-    assert lab.orders == [Order.STOP, Order.CLEAR_STOP, Order.HOLD]
+    assert lab.orders == [CommandKind.STOP, CommandKind.CLEAR_STOP, CommandKind.HOLD]
     first.socket.close()
     second.say(kind="take")
     assert second.until(lambda f: state(f) and f["holder"] == yours)
@@ -277,8 +279,8 @@ def test_orders_are_done_in_the_order_in_which_they_were_given(lab: ServedStatio
     """Also where the first has to wait for the station's cycle: what was said last counts."""
     page, request = lab.open(), lab.request
 
-    def waits(order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
-        time.sleep(0.3 if order is Order.RESUME else 0.0)
+    def waits(order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
+        time.sleep(0.3 if order is CommandKind.RESUME else 0.0)
         return request(order, via, only)
 
     monkeypatch.setattr(lab, "request", waits)
@@ -288,7 +290,7 @@ def test_orders_are_done_in_the_order_in_which_they_were_given(lab: ServedStatio
     page.order(1, "resume")
     page.order(2, "disarm")
     assert [page.until(lambda f: f["k"] == "reply")["n"] for _ in range(2)] == [1, 2]
-    assert lab.orders == [Order.RESUME, Order.DISARM]
+    assert lab.orders == [CommandKind.RESUME, CommandKind.DISARM]
 
 
 def test_a_run_that_still_goes_on_is_followed_by_no_other_whoever_asks(lab: ServedStation) -> None:
@@ -349,7 +351,7 @@ def test_a_page_that_acknowledges_nothing_is_told_the_last_state_before_the_serv
 def test_request_outcomes_and_log_lines_reach_the_page(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
-    outcome = Outcome(7, Order.CLEAR_STOP, Progress.FAILED, "aborting", "ABORTING", (1,), (2,), ("no pose",))
+    outcome = Outcome(7, CommandKind.CLEAR_STOP, Progress.FAILED, "aborting", "ABORTING", (1,), (2,), ("no pose",))
     lab.own_status = replace(lab.own_status, requests=(outcome,))
     (request,) = page.until(lambda f: state(f) and f["requests"])["requests"]
     assert request == {
@@ -488,7 +490,7 @@ def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: ServedStation, mo
     try:
         pages[-1].say(kind="order", n=99, order="stop")
         assert pages[-1].until(lambda f: f["k"] == "reply" and f["n"] == 99)["ok"]
-        assert lab.orders == [Order.STOP]
+        assert lab.orders == [CommandKind.STOP]
         assert not release.is_set()
     finally:
         release.set()
@@ -510,7 +512,7 @@ def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> No
         assert not reply["ok"] and "before this computer's start" in reply["reason"]
     page.say(kind="order", n=3, order="stop", seen_ms=0)
     assert page.until(lambda f: f["k"] == "reply")["ok"]
-    assert lab.orders == [Order.STOP]
+    assert lab.orders == [CommandKind.STOP]
 
 
 def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_ended(lab: ServedStation) -> None:

@@ -9,7 +9,7 @@ from robot_agent.control.live_tuning import LiveTuning
 from shoal.config.controller import ControllerConfig
 from shoal.config.experiment import load_experiment
 from shoal.messages.live_gains import tuned, tuning
-from shoal.messages.messages import Command, Order
+from shoal.messages.messages import Command, CommandKind
 
 POOL = load_experiment("pool")
 KEY = tuning(POOL.controller).keys[0]
@@ -21,11 +21,11 @@ def other_gains(factor: float) -> ControllerConfig:
 
 
 def tune(factor: float) -> Command:
-    return Command(Order.TUNE, 1, tuning=tuning(other_gains(factor)))
+    return Command(CommandKind.TUNE, 1, tuning=tuning(other_gains(factor)))
 
 
 def adopt(factor: float, start_in_s: float = 0.0) -> Command:
-    return Command(Order.ADOPT, 1, tuning_id=tuning(other_gains(factor)).id, start_in_s=start_in_s)
+    return Command(CommandKind.ADOPT, 1, tuning_id=tuning(other_gains(factor)).id, start_in_s=start_in_s)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from groundstation.planning import planner
 from shoal.config.experiment import Experiment, load_experiment
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import CommandKind, Mode
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 
 pytestmark = pytest.mark.long
@@ -48,7 +48,7 @@ def test_urgent_robot_goes_around_one_that_drifts_without_thrust() -> None:
     while meeting.step() > 2.0:
         assert meeting.fleet.time_s < 40.0
     assert second.plan is not None and not second.plan.plan.adrift
-    assert meeting.fleet.order(Order.DISARM, 1).accepted
+    assert meeting.fleet.order(CommandKind.DISARM, 1).accepted
     begin = meeting.fleet.truth[-1][1].copy()
     meeting.step()
     last_plan = second.plan.plan

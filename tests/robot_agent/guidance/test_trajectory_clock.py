@@ -14,7 +14,7 @@ from robot_agent.guidance.trajectory_clock import FASTER, TrajectoryClock
 from robot_agent.inputs import StationView
 from shoal.config.experiment import load_experiment
 from shoal.frames import Array
-from shoal.messages.messages import ALONE, Command, Order, Trajectory
+from shoal.messages.messages import ALONE, Command, CommandKind, Trajectory
 
 EXPERIMENT = load_experiment("pool", ["duration_s=20"])
 ME, STATION, NS = 1, 7, 1_000_000_000
@@ -57,7 +57,7 @@ class ClockedRobot:
         self.lag_s = self.slowing = 0.0
         self.eta: Array | None = np.array([-0.5, 0.0, 0.5, 0.0])
         if loaded is not None:
-            assert self.give(Command(Order.LOAD, ME, trajectory=loaded)) == ""
+            assert self.give(Command(CommandKind.LOAD, ME, trajectory=loaded)) == ""
 
     @property
     def station(self) -> StationView:
@@ -70,7 +70,9 @@ class ClockedRobot:
             self.clock.apply(command, under_way, self.station, begins_ns)
         return reason
 
-    def start(self, in_s: float = 0.0, at_s: float = 0.0, path: str = "straight", order: Order = Order.START) -> str:
+    def start(
+        self, in_s: float = 0.0, at_s: float = 0.0, path: str = "straight", order: CommandKind = CommandKind.START
+    ) -> str:
         start_ns = self.station.clock_ns + round(in_s * NS)
         return self.give(Command(order, ME, trajectory_id=path, trajectory_s=at_s, start_ns=start_ns))
 
@@ -121,7 +123,7 @@ class ClockedRobot:
 )  # fmt: skip
 def test_a_trajectory_that_cannot_be_flown_is_refused(loaded: Trajectory | None, says: str) -> None:
     robot = ClockedRobot()
-    assert says in robot.give(Command(Order.LOAD, ME, trajectory=loaded))
+    assert says in robot.give(Command(CommandKind.LOAD, ME, trajectory=loaded))
     assert robot.clock.trajectory is None
 
 
@@ -136,7 +138,7 @@ def test_a_path_may_set_off_and_stop_at_once() -> None:
     rests = straight()
     eta, velocity = rests.eta.copy(), rests.velocity.copy()
     eta[:21], velocity[:21], eta[101:], velocity[101:] = eta[20], 0.0, eta[100], 0.0
-    assert ClockedRobot().give(Command(Order.LOAD, ME, trajectory=replace(rests, eta=eta, velocity=velocity))) == ""
+    assert ClockedRobot().give(Command(CommandKind.LOAD, ME, trajectory=replace(rests, eta=eta, velocity=velocity))) == ""
 
 
 # --- LOAD and SWITCH under way
@@ -145,9 +147,9 @@ def test_a_path_may_set_off_and_stop_at_once() -> None:
 def test_a_switch_names_the_trajectory_that_is_loaded() -> None:
     robot = ClockedRobot(straight())
     assert robot.start() == ""
-    switch = Command(Order.SWITCH, ME, trajectory_id="b")
+    switch = Command(CommandKind.SWITCH, ME, trajectory_id="b")
     assert robot.give(switch, under_way=True) == "trajectory b is not loaded"
-    assert robot.give(Command(Order.LOAD, ME, trajectory=straight(2.0, path="b")), under_way=True) == ""
+    assert robot.give(Command(CommandKind.LOAD, ME, trajectory=straight(2.0, path="b")), under_way=True) == ""
     assert robot.clock.id == "straight"
     assert robot.give(replace(switch, trajectory_id="c"), under_way=True) == "trajectory c is not loaded"
     assert robot.give(switch, under_way=True) == ""
@@ -159,11 +161,11 @@ def test_a_trajectory_that_begins_in_the_past_is_not_gone_over_to() -> None:
     robot = ClockedRobot(straight())
     assert robot.start() == ""
     robot.reaches(1.0)
-    late = Command(Order.LOAD, ME, trajectory=straight(1.0, path="b"))
+    late = Command(CommandKind.LOAD, ME, trajectory=straight(1.0, path="b"))
     assert robot.give(late, under_way=True) == "too late: it begins at 1.00 s, 1.00 s have gone by"
     assert robot.give(replace(late, trajectory=straight(2.0, path="b")), under_way=True) == ""
     robot.reaches(1.5)
-    switch = Command(Order.SWITCH, ME, trajectory_id="b")
+    switch = Command(CommandKind.SWITCH, ME, trajectory_id="b")
     assert robot.give(switch, under_way=True) == "too late: it begins at 2.00 s, 2.50 s have gone by"
     assert robot.clock.id == "straight"
 
@@ -171,20 +173,22 @@ def test_a_trajectory_that_begins_in_the_past_is_not_gone_over_to() -> None:
 def test_a_robot_that_stops_flying_forgets_the_next_trajectory() -> None:
     robot = ClockedRobot(straight())
     assert robot.start() == ""
-    assert robot.give(Command(Order.LOAD, ME, trajectory=straight(2.0, path="b")), under_way=True) == ""
+    assert robot.give(Command(CommandKind.LOAD, ME, trajectory=straight(2.0, path="b")), under_way=True) == ""
     robot.clock.drop_next()
-    assert "not loaded" in robot.give(Command(Order.SWITCH, ME, trajectory_id="b"), under_way=True)
+    assert "not loaded" in robot.give(Command(CommandKind.SWITCH, ME, trajectory_id="b"), under_way=True)
 
 
 def test_nothing_is_loaded_for_later_by_a_robot_that_flies_nothing() -> None:
-    assert ClockedRobot().give(Command(Order.LOAD, ME, trajectory=straight()), under_way=True) == "no trajectory is flown"
+    assert (
+        ClockedRobot().give(Command(CommandKind.LOAD, ME, trajectory=straight()), under_way=True) == "no trajectory is flown"
+    )
 
 
 # --- START and RESUME
 
 
-@pytest.mark.parametrize("order", [Order.START, Order.RESUME])
-def test_a_start_is_for_the_trajectory_that_is_loaded(order: Order) -> None:
+@pytest.mark.parametrize("order", [CommandKind.START, CommandKind.RESUME])
+def test_a_start_is_for_the_trajectory_that_is_loaded(order: CommandKind) -> None:
     assert ClockedRobot().start(order=order) == "no trajectory is loaded"
     robot = ClockedRobot(straight())
     assert robot.start(path="b", order=order) == "names trajectory b, this robot has straight"
@@ -205,9 +209,9 @@ def test_a_robot_that_does_not_know_where_it_is_does_not_start() -> None:
     assert robot.start() == "the robot does not know where it is"
 
 
-@pytest.mark.parametrize("order", [Order.START, Order.RESUME])
+@pytest.mark.parametrize("order", [CommandKind.START, CommandKind.RESUME])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_robot_far_from_its_path_does_not_start(order: Order, axis: int) -> None:
+def test_a_robot_far_from_its_path_does_not_start(order: CommandKind, axis: int) -> None:
     """Robot 1 of `pool` is put 0.15 m from its path's beginning: it may be that and safety.join_within_m away."""
     robot = ClockedRobot(straight())
     assert robot.eta is not None
@@ -226,8 +230,8 @@ def test_a_robot_whose_experiment_puts_it_far_from_its_path_starts_there() -> No
     starts = planner.start_poses(experiment, trajectories)
     for robot, trajectory in trajectories.items():
         clock, view = TrajectoryClock(experiment, robot), StationView(STATION, NS, 0.0)
-        clock.apply(Command(Order.LOAD, robot, trajectory=trajectory), False, view, NS)
-        start = Command(Order.START, robot, trajectory_id=trajectory.id)
+        clock.apply(Command(CommandKind.LOAD, robot, trajectory=trajectory), False, view, NS)
+        start = Command(CommandKind.START, robot, trajectory_id=trajectory.id)
         away = np.array([5.0, 5.0, 5.0, 0.0])
         assert clock.objection(start, False, view, NS, NS, starts[robot]) == ""
         assert "from where its path is" in clock.objection(start, False, view, NS, NS, starts[robot] + away)
@@ -252,7 +256,7 @@ def test_the_rate_that_is_told_is_the_references_own_while_it_catches_up() -> No
 
 def test_a_trajectorys_flaw_is_found_beside_the_steps() -> None:
     """The check of an hour takes 40 ms: with its result nothing of it is looked at again."""
-    robot, wrong = ClockedRobot(), Command(Order.LOAD, ME, trajectory=changed(id=""))
+    robot, wrong = ClockedRobot(), Command(CommandKind.LOAD, ME, trajectory=changed(id=""))
     assert robot.clock.flaw(wrong) == "trajectory.id is empty"
     arguments = wrong, False, robot.station, 0, robot.now_ns, robot.eta
     assert robot.clock.objection(*arguments) == robot.clock.objection(*arguments, flaw="trajectory.id is empty") != ""
@@ -261,7 +265,9 @@ def test_a_trajectorys_flaw_is_found_beside_the_steps() -> None:
 
 def test_a_start_taken_late_keeps_the_timetable() -> None:
     robots = [ClockedRobot(straight()), ClockedRobot(straight())]
-    start = Command(Order.START, ME, trajectory_id="straight", trajectory_s=0.0, start_ns=robots[0].station.clock_ns + NS // 2)
+    start = Command(
+        CommandKind.START, ME, trajectory_id="straight", trajectory_s=0.0, start_ns=robots[0].station.clock_ns + NS // 2
+    )
     assert robots[0].give(start) == ""
     robots[1].now_ns += round(2.3 * NS)
     assert robots[1].give(start) == ""
@@ -273,7 +279,7 @@ def test_a_start_taken_late_keeps_the_timetable() -> None:
 
 def test_a_start_taken_so_late_that_the_path_is_far_away_is_refused() -> None:
     robot = ClockedRobot(straight(speed_mps=0.2))
-    start = Command(Order.START, ME, trajectory_id="straight", start_ns=robot.station.clock_ns)
+    start = Command(CommandKind.START, ME, trajectory_id="straight", start_ns=robot.station.clock_ns)
     robot.now_ns += 7 * NS
     assert "is 1.40 m from where its path is at 7.00 s" in robot.give(start)
     robot.now_ns -= 3 * NS
@@ -313,10 +319,10 @@ def test_a_later_trajectory_is_not_begun_from_as_far_as_the_runs_own() -> None:
     far_m = float(np.linalg.norm(start[:3] - trajectory.eta[0, :3]))
     assert far_m > 1.1
     clock, view = TrajectoryClock(experiment, robot), StationView(STATION, NS, 0.0)
-    clock.apply(Command(Order.LOAD, robot, trajectory=trajectory), False, view, NS)
+    clock.apply(Command(CommandKind.LOAD, robot, trajectory=trajectory), False, view, NS)
     later = replace(trajectory, id="later", begin_s=30.0, eta=trajectory.eta + (start - trajectory.eta[0]) * [1, 1, 1, 0])
-    clock.apply(Command(Order.LOAD, robot, trajectory=later), False, view, NS)
-    begin = Command(Order.START, robot, trajectory_id="later", trajectory_s=30.0)
+    clock.apply(Command(CommandKind.LOAD, robot, trajectory=later), False, view, NS)
+    begin = Command(CommandKind.START, robot, trajectory_id="later", trajectory_s=30.0)
     assert clock.objection(begin, False, view, NS, NS, start) == ""
     beside = start + np.array([0.0, 1.1, 0.0, 0.0])
     assert "allowed are 1.00 m (safety.join_within_m)" in clock.objection(begin, False, view, NS, NS, beside)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from robot_agent.safety.modes import LIVE, ORDERS, POWERED, REACTIONS, Health, react, refusal, table
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import Mode, Order
+from shoal.messages.messages import CommandKind, Mode
 
 EXPERIMENT = load_experiment("pool")
 SAFETY = EXPERIMENT.safety
@@ -83,22 +83,22 @@ def test_a_stop_is_latched_through_anything_that_happens(run: list[Health]) -> N
     for health in run:
         mode, _ = react(mode, health, SAFETY)
     assert mode is Mode.STOPPED
-    for order in Order:
-        if order not in (Order.CLEAR_STOP, Order.STOP):
+    for order in CommandKind:
+        if order not in (CommandKind.CLEAR_STOP, CommandKind.STOP):
             assert refusal(order, mode) != ""
 
 
 def test_only_start_resume_hold_and_drive_lead_to_thrust_and_only_from_a_live_mode() -> None:
     for order, transition in ORDERS.items():
         if transition.to in POWERED:
-            assert order in (Order.START, Order.RESUME, Order.HOLD, Order.DRIVE)
+            assert order in (CommandKind.START, CommandKind.RESUME, CommandKind.HOLD, CommandKind.DRIVE)
             assert transition.accepted_in <= LIVE
 
 
 def test_a_refusal_names_the_modes_that_would_do() -> None:
-    assert refusal(Order.ARM, Mode.DISARMED) == ""
-    assert refusal(Order.ARM, Mode.TRACKING) == "ARM is not accepted when TRACKING (only when DISARMED)"
-    assert "allowed" in refusal(Order.NONE, Mode.DISARMED)
+    assert refusal(CommandKind.ARM, Mode.DISARMED) == ""
+    assert refusal(CommandKind.ARM, Mode.TRACKING) == "ARM is not accepted when TRACKING (only when DISARMED)"
+    assert "allowed" in refusal(CommandKind.NONE, Mode.DISARMED)
 
 
 def test_every_transition_is_in_the_table_of_the_docs() -> None:

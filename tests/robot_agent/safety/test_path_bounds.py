@@ -9,7 +9,7 @@ import pytest
 from groundstation.planning import planner
 from shoal.config.experiment import load_experiment
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, DriveVelocity, Guidance, Mode, Order, RobotState, required
+from shoal.messages.messages import Command, CommandKind, DriveVelocity, Guidance, Mode, RobotState, required
 from tests.flights.cells import WIDE
 from tests.flights.water import Trouble, TroubledFleet, TroubledPlant
 
@@ -98,7 +98,7 @@ def test_error_that_grows_on_the_path_stops_the_robot() -> None:
 def _hold_the_other(fleet: BoundedFleet, time_s: float) -> None:
     """Order the second robot to hold where it crosses the first one's path."""
     if time_s > 4.0 and fleet.robots[1].agent.mode is Mode.TRACKING:
-        assert fleet.order(Order.HOLD, 1).accepted
+        assert fleet.order(CommandKind.HOLD, 1).accepted
 
 
 ACROSS = line((0.0, -1.5), (0.0, 1.5), 0.3)
@@ -133,7 +133,7 @@ def test_robot_that_is_carried_from_the_place_it_holds_stops() -> None:
 
     def rises(fleet: BoundedFleet, time_s: float) -> None:
         if time_s > 5.0 and fleet.robots[0].agent.mode is Mode.TRACKING:
-            assert fleet.order(Order.HOLD, 0).accepted
+            assert fleet.order(CommandKind.HOLD, 0).accepted
         fleet.stream(-min(max(time_s - 10.0, 0.0) / 60.0, 1.0) * 1.06 * FASTEST_MPS)
 
     flown = BoundedFleet([ahead(0.2)], 0.0, 0.0).until_it_stops(170.0, rises)
@@ -151,11 +151,13 @@ def test_driven_robot_stops_when_it_cannot_move_and_not_before(current: float, h
     def drives(fleet: BoundedFleet, time_s: float) -> None:
         agent, now_ns, station = fleet.robots[0].agent, fleet.now_ns, fleet.station()
         if time_s > 5.0 and agent.mode is Mode.TRACKING:
-            assert fleet.order(Order.HOLD, 0).accepted
+            assert fleet.order(CommandKind.HOLD, 0).accepted
         fleet.trouble.held = time_s > held_s
         fleet.stream(-min(max(time_s - 10.0, 0.0) / 20.0, 1.0) * current * FASTEST_MPS)
         if time_s > 8.0:
-            drive = Command(Order.DRIVE, 1, experiment_hash=fleet.experiment.hash, drive=DriveVelocity(0.4 * FASTEST_MPS))
+            drive = Command(
+                CommandKind.DRIVE, 1, experiment_hash=fleet.experiment.hash, drive=DriveVelocity(0.4 * FASTEST_MPS)
+            )
             agent.handle_command(Header(station.session, 9, now_ns), drive, station, now_ns)
             leads_m.append(
                 np.linalg.norm(

@@ -15,7 +15,7 @@ from robot_agent.vehicle.eso import Estimator
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from shoal.config.experiment import load_experiment
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Mode, Order, required
+from shoal.messages.messages import Command, CommandKind, Mode, required
 
 POOL = load_experiment("pool")
 BAD = ARM_AFTER + 40  # the first step at which something is wrong
@@ -87,7 +87,7 @@ def test_poses_that_make_no_sense_at_all_are_no_pose() -> None:
 def test_a_robot_does_not_arm_on_a_depth_outside_the_pool(depth_m: float, why: str) -> None:
     for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER - 2):
         outputs = agent.step(depth(inputs, depth_m), now_ns)
-    command = Command(Order.ARM, 1, 1.0, outputs.state.experiment_hash)
+    command = Command(CommandKind.ARM, 1, 1.0, outputs.state.experiment_hash)
     reply = agent.handle_command(Header(STATION, 1, now_ns), command, StationView(STATION, now_ns, 0.0), now_ns)
     assert not reply.accepted and why in reply.reason
 

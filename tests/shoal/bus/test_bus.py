@@ -117,10 +117,10 @@ def test_an_order_is_answered_refused_or_reported_unanswered(make_bus: MakeBus) 
 
     def handle(header: Header, command: messages.Command) -> messages.Reply:
         commands.append((header, command))
-        return messages.Reply(command.robot, command.order is messages.Order.ARM, "only arming", messages.Mode.ARMED)
+        return messages.Reply(command.robot, command.order is messages.CommandKind.ARM, "only arming", messages.Mode.ARMED)
 
     robot.serve(1, handle)
-    order = messages.Order
+    order = messages.CommandKind
     trajectory = messages.Trajectory("t", 0.05, np.ones((4000, 4)), np.ones((4000, 4)), np.ones((4000, 4)))
     assert eventually(lambda: station.command(messages.Command(order.ARM, 1), 5, 1.0).accepted)
     refused = station.command(messages.Command(order.LOAD, 1, trajectory=trajectory), 6, 1.0)
@@ -255,7 +255,7 @@ class Obeying:
     """A robot that says yes, and what it was told."""
 
     def __init__(self, bus: Bus) -> None:
-        self.orders: list[messages.Order] = []
+        self.orders: list[messages.CommandKind] = []
         bus.serve(1, self._obey)
 
     def _obey(self, header: Header, command: messages.Command) -> messages.Reply:
@@ -263,7 +263,7 @@ class Obeying:
         return messages.Reply(1, True)
 
 
-TUNE, HOLD = messages.Command(messages.Order.TUNE, 1), messages.Command(messages.Order.HOLD, 1)
+TUNE, HOLD = messages.Command(messages.CommandKind.TUNE, 1), messages.Command(messages.CommandKind.HOLD, 1)
 
 
 @pytest.mark.parametrize(("slow", "quick"), [(TUNE, HOLD), (HOLD, TUNE)], ids=["tune is slow", "hold is slow"])
@@ -271,7 +271,7 @@ def test_a_command_slow_to_encode_neither_outdates_nor_delays_another(
     make_bus: MakeBus, monkeypatch: pytest.MonkeyPatch, slow: messages.Command, quick: messages.Command
 ) -> None:
     station, robot = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.CommandKind.ARM, 1), 1, 2.0).accepted)
     robot.orders.clear()
     begun, go_on = threading.Event(), threading.Event()
 
@@ -295,7 +295,7 @@ def test_a_command_slow_to_encode_neither_outdates_nor_delays_another(
 
 def test_orders_from_many_threads_are_all_taken(make_bus: MakeBus) -> None:
     station, _ = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.CommandKind.ARM, 1), 1, 2.0).accepted)
     with ThreadPoolExecutor(8) as pool:
         replies = list(pool.map(lambda k: station.command(HOLD if k % 2 else TUNE, k, 5.0), range(200)))
     assert [reply.reason for reply in replies if not reply.accepted] == []
@@ -317,7 +317,7 @@ def test_messages_of_one_topic_from_many_threads_all_arrive(make_bus: MakeBus) -
 
 def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any_thread(make_bus: MakeBus) -> None:
     station, robot = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.CommandKind.ARM, 1), 1, 2.0).accepted)
     robot.orders.clear()
     waiting = [
         station.send_command(HOLD if k % 3 else TUNE, 1, 5.0) for k in range(8)
@@ -329,50 +329,53 @@ def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any
 def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> None:
     """A robot that is met for the first time is asked who it is: by then another order may have been given."""
     station, robot = make_bus(), Obeying(make_bus())
-    resume, hold = station.send_command(messages.Command(messages.Order.RESUME, 1), 1, 2.0), station.send_command(HOLD, 1, 2.0)
+    resume, hold = (
+        station.send_command(messages.Command(messages.CommandKind.RESUME, 1), 1, 2.0),
+        station.send_command(HOLD, 1, 2.0),
+    )
     overtaken = resume()
     assert (overtaken.accepted, overtaken.reason) == (False, "RESUME was overtaken by a later order")
     assert hold().accepted
-    assert robot.orders == [messages.Order.HOLD]
+    assert robot.orders == [messages.CommandKind.HOLD]
 
 
 @pytest.mark.parametrize("make_bus", ["zenoh"], indirect=True)  # in memory the sender's thread does what is asked
 def test_a_stop_is_obeyed_while_another_command_is_under_way(make_bus: MakeBus) -> None:
     station, robot = make_bus(), make_bus()
-    begun, go_on, obeyed = threading.Event(), threading.Event(), list[messages.Order]()
+    begun, go_on, obeyed = threading.Event(), threading.Event(), list[messages.CommandKind]()
 
     def handle(header: Header, command: messages.Command) -> messages.Reply:
-        if command.order is messages.Order.TUNE:
+        if command.order is messages.CommandKind.TUNE:
             begun.set()
             assert go_on.wait(20.0)
         obeyed.append(command.order)
         return messages.Reply(1, True)
 
     robot.serve(1, handle)
-    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.CommandKind.ARM, 1), 1, 2.0).accepted)
     obeyed.clear()
     with ThreadPoolExecutor(2) as pool:
         slow = pool.submit(station.command, TUNE, 1, 20.0)
         assert begun.wait(20.0)
         behind = pool.submit(station.command, HOLD, 1, 20.0)
         try:
-            assert station.command(messages.Command(messages.Order.STOP, 1), 1, 5.0).accepted
-            assert obeyed == [messages.Order.STOP]
+            assert station.command(messages.Command(messages.CommandKind.STOP, 1), 1, 5.0).accepted
+            assert obeyed == [messages.CommandKind.STOP]
         finally:
             go_on.set()
         assert slow.result().accepted
         behind.result()  # obeyed, or refused as older than the STOP
-    assert obeyed[:2] == [messages.Order.STOP, messages.Order.TUNE]
+    assert obeyed[:2] == [messages.CommandKind.STOP, messages.CommandKind.TUNE]
     assert station.command(HOLD, 1, 5.0).accepted
 
 
-@pytest.mark.parametrize("order", [messages.Order.STOP, messages.Order.HOLD], ids=["urgent", "in turn"])
+@pytest.mark.parametrize("order", [messages.CommandKind.STOP, messages.CommandKind.HOLD], ids=["urgent", "in turn"])
 def test_a_command_at_which_the_recipient_fails_is_refused_with_the_reason(
-    make_bus: MakeBus, order: messages.Order, caplog: pytest.LogCaptureFixture
+    make_bus: MakeBus, order: messages.CommandKind, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Without an answer the sender would look for the fault in the network. What is done by half is not done again."""
     station, robot = make_bus(), make_bus()
-    orders, fails = list[messages.Order](), threading.Event()
+    orders, fails = list[messages.CommandKind](), threading.Event()
 
     def handle(header: Header, command: messages.Command) -> messages.Reply:
         orders.append(command.order)
@@ -381,7 +384,7 @@ def test_a_command_at_which_the_recipient_fails_is_refused_with_the_reason(
         return messages.Reply(1, True)
 
     robot.serve(1, handle)
-    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.CommandKind.ARM, 1), 1, 2.0).accepted)
     fails.set()
     reply = station.command(messages.Command(order, 1), 1, 5.0)
     assert (reply.accepted, reply.silent, reply.reason) == (False, False, f"{order.name} failed: KeyError: 'no such path'")

@@ -6,13 +6,13 @@ from hypothesis import strategies as st
 
 from shoal.bus.command_deduplication import SENDERS, CommandDeduplicator
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, Mode, Order, Reply
+from shoal.messages.messages import Command, CommandKind, Mode, Reply
 
 ME = 77
 ORDERS = st.lists(st.tuples(st.integers(1, 3), st.integers(1, 20), st.sampled_from([ME, ME - 1, 0])), max_size=60)
 
 
-def command(recipient: int = ME, order: Order = Order.ARM) -> Command:
+def command(recipient: int = ME, order: CommandKind = CommandKind.ARM) -> Command:
     return Command(order, 1, recipient=recipient)
 
 
@@ -62,8 +62,8 @@ def test_the_number_of_remembered_senders_is_bounded_and_the_newest_are_kept() -
     assert len(deduplicator._answered) == SENDERS
 
 
-@pytest.mark.parametrize("order", [Order.STOP, Order.DISARM])
-def test_power_is_taken_away_however_late_and_often_and_for_whichever_life(order: Order) -> None:
+@pytest.mark.parametrize("order", [CommandKind.STOP, CommandKind.DISARM])
+def test_power_is_taken_away_however_late_and_often_and_for_whichever_life(order: CommandKind) -> None:
     deduplicator = CommandDeduplicator(ME)
     for sequence, recipient in ((5, ME), (5, ME), (3, ME), (6, ME + 1), (1, 0)):
         head = Header(7, sequence, 0)

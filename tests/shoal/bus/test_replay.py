@@ -18,7 +18,7 @@ from shoal.bus.transport import Await
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import Command, Mode, Order, Reply, RobotState, StationHeartbeat
+from shoal.messages.messages import Command, CommandKind, Mode, Reply, RobotState, StationHeartbeat
 from shoal.runtime.runtime import WallClock
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.real_time
 
 POOL = load_experiment("pool")
 HOUR_S = 3600.0
-GIVEN = (Order.STOP, Order.CLEAR_STOP, Order.DISARM, Order.STOP, Order.CLEAR_STOP)
+GIVEN = (CommandKind.STOP, CommandKind.CLEAR_STOP, CommandKind.DISARM, CommandKind.STOP, CommandKind.CLEAR_STOP)
 
 
 @dataclass
@@ -88,7 +88,7 @@ class Beating:
 
         assert eventually(heard, 30.0)
 
-    def order(self, order: Order) -> Reply:
+    def order(self, order: CommandKind) -> Reply:
         self.beat()
         time.sleep(0.05)
         return self.bus.command(Command(order, 1, HOUR_S, POOL.hash), self._clock.now_ns(), 2.0)
@@ -129,7 +129,7 @@ def test_a_robot_ignores_replayed_commands_live_and_after_restarts(address: str,
         station.bus.close()  # the station starts again, and its old heartbeats are played back
         later = station = Beating(address)
         station.until_heard(agent)
-        assert station.order(Order.CLEAR_STOP).accepted
+        assert station.order(CommandKind.CLEAR_STOP).accepted
         put = later.bus.transport.publisher("shoal/station/heartbeat", topics.HEARTBEAT.qos)
         for data, header in heartbeats[-5:]:
             put(data, header.encode())
@@ -151,8 +151,8 @@ def test_a_station_ignores_replayed_requests_live_and_after_a_restart(tmp_path: 
     try:
         terminal = Bus(ZenohTransport(Endpoint(address), patience_s=30.0))
         tape.record(terminal)
-        wishes = (Order.STOP, Order.CLEAR_STOP)
-        assert eventually(lambda: terminal.command(Command(Order.NONE, 0, HOUR_S), 0, 1.0).session != 0, 30.0)
+        wishes = (CommandKind.STOP, CommandKind.CLEAR_STOP)
+        assert eventually(lambda: terminal.command(Command(CommandKind.NONE, 0, HOUR_S), 0, 1.0).session != 0, 30.0)
         assert [terminal.command(Command(order, 0, HOUR_S), 0, 2.0).accepted for order in wishes] == [True, True]
         terminal.close()
         tape.play(address)

@@ -18,13 +18,13 @@ from shoal.messages import codec
 from shoal.messages.codec import DecodeError, Header, decode, encode
 from shoal.messages.messages import (
     Command,
+    CommandKind,
     CommandTaken,
     Control,
     Event,
     Frame,
     LocalizerStatus,
     Obstacles,
-    Order,
     Outcome,
     Picture,
     Plan,
@@ -85,7 +85,7 @@ def test_schemas_with_a_time_of_their_own_carry_the_stamp(stamp_ns: int) -> None
 
 def test_defaults_survive() -> None:
     assert same(_decode(RobotState, encode(RobotState())), RobotState())
-    assert same(_decode(Command, encode(Command(Order.ARM, 1))), Command(Order.ARM, 1))
+    assert same(_decode(Command, encode(Command(CommandKind.ARM, 1))), Command(CommandKind.ARM, 1))
 
 
 @pytest.mark.parametrize("cls", OWN, ids=lambda cls: cls.__name__)

@@ -44,7 +44,7 @@ def test_enums_have_the_values_of_the_dataclasses() -> None:
     enums = {described.name: described for described in schema.file_descriptor("fleet", codec.OWN).enum_type}
     camera = {value.name: value.number for value in enums["CameraHealth"].value}
     assert camera == {f"CAMERA_HEALTH_{member.name}": member.value for member in messages.CameraHealth}
-    assert set(enums) == {"Track", "Mode", "Guidance", "Solve", "Order", "Progress", "CameraHealth"}
+    assert set(enums) == {"Track", "Mode", "Guidance", "Solve", "CommandKind", "Progress", "CameraHealth"}
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from shoal.messages import codec, topics
 from shoal.messages.messages import (
     BoardReading,
     Command,
+    CommandKind,
     CommandTaken,
     Control,
     DriveVelocity,
@@ -20,7 +21,6 @@ from shoal.messages.messages import (
     Event,
     Frame,
     Message,
-    Order,
     Outcome,
     Picture,
     Preview,
@@ -86,7 +86,7 @@ def test_recovered_topics_have_a_cache_that_fits_a_boards_memory(topic: Topic) -
     path = first_segment(load_experiment("pool")).trajectories[1]
     largest: dict[Topic, Message] = {
         topics.TRAJECTORY: path,
-        topics.COMMANDS: CommandTaken(0, 0, 1, 1, 0, command=Command(Order.LOAD, 1, trajectory=path)),
+        topics.COMMANDS: CommandTaken(0, 0, 1, 1, 0, command=Command(CommandKind.LOAD, 1, trajectory=path)),
         topics.EVENT: Event(2, "agent-1", 500 * "x"),
     }
     each = len(codec.encode(largest.get(topic, example(topic.type))))

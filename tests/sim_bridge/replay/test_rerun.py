@@ -19,12 +19,12 @@ from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import (
     Command,
+    CommandKind,
     Control,
     Estimate,
     Event,
     Mode,
     Obstacles,
-    Order,
     Plan,
     Pose,
     Reply,
@@ -96,10 +96,10 @@ class Pond:
         if topic is not topics.PLAN or robot != ME:
             self.lines.append(LogMessage(topic, robot, header, payload, header.stamp_ns))
 
-    def order(self, order: Order) -> Reply:
+    def order(self, order: CommandKind) -> Reply:
         command = Command(
             order, ME, 1e6, self.experiment.hash, self.trajectory.id,
-            trajectory=self.trajectory if order is Order.LOAD else None, start_ns=self.sent_ns + 100_000_000,
+            trajectory=self.trajectory if order is CommandKind.LOAD else None, start_ns=self.sent_ns + 100_000_000,
         )  # fmt: skip
         return self.station.command(command, self.sent_ns, 1.0)
 
@@ -128,14 +128,14 @@ def flown() -> Pond:
     """Five seconds, the robot tracking for most of them."""
     pond = Pond(load_experiment("pool", UNMOVED))
     pond.step(20)
-    for order in (Order.LOAD, Order.ARM, Order.START):
+    for order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START):
         reply = pond.order(order)
         assert reply.accepted, reply.reason
         pond.step(2)
-    refused = pond.order(Order.ARM)
+    refused = pond.order(CommandKind.ARM)
     assert not refused.accepted
     pond.step(60)
-    assert pond.order(Order.HOLD).accepted
+    assert pond.order(CommandKind.HOLD).accepted
     pond.step(14)
     assert {state.mode for state in pond.states} == {Mode.DISARMED, Mode.ARMED, Mode.TRACKING, Mode.HOLDING}
     return pond
@@ -227,7 +227,7 @@ def test_a_record_of_halves_is_left_out(flown: Pond) -> None:
 def test_with_a_new_station_a_disarmed_robot_begins_anew_and_its_log_is_whole() -> None:
     pond = Pond(load_experiment("pool"))
     pond.step(10)
-    old = pond.order(Order.LOAD)
+    old = pond.order(CommandKind.LOAD)
     assert old.accepted
     pond.step(5)
     pond.station = Bus(MemoryTransport(pond.hub))
@@ -235,7 +235,7 @@ def test_with_a_new_station_a_disarmed_robot_begins_anew_and_its_log_is_whole() 
     before = len(pond.lines)
     pond.step(3)
     assert pond.states[-1].trajectory_id == ""  # what the old station had loaded is gone
-    for order in (Order.LOAD, Order.ARM, Order.START):
+    for order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START):
         assert pond.order(order).accepted
     pond.step(10)
     states, _, messages = again(pond.lines[before:], pond.experiment)
@@ -250,21 +250,21 @@ def test_with_a_new_station_a_disarmed_robot_begins_anew_and_its_log_is_whole() 
 def test_a_new_station_changes_nothing_for_a_robot_that_is_up_to_something() -> None:
     pond = Pond(load_experiment("pool"))
     pond.step(10)
-    assert pond.order(Order.LOAD).accepted
-    assert pond.order(Order.ARM).accepted
+    assert pond.order(CommandKind.LOAD).accepted
+    assert pond.order(CommandKind.ARM).accepted
     pond.step(2)
     pond.station = Bus(MemoryTransport(pond.hub))
     pond.step(3)
     assert pond.states[-1].mode is Mode.ARMED
-    assert pond.order(Order.START).accepted
+    assert pond.order(CommandKind.START).accepted
 
 
 def test_an_order_of_the_old_station_is_not_taken_after_the_new_beginning() -> None:
     pond = Pond(load_experiment("pool"))
     pond.step(10)
     old = pond.station
-    assert pond.order(Order.LOAD).accepted
+    assert pond.order(CommandKind.LOAD).accepted
     pond.station = Bus(MemoryTransport(pond.hub))
     pond.step(3)
-    command = Command(Order.LOAD, ME, 1e6, pond.experiment.hash, trajectory=pond.trajectory)
+    command = Command(CommandKind.LOAD, ME, 1e6, pond.experiment.hash, trajectory=pond.trajectory)
     assert not old.command(command, pond.sent_ns, 1.0).accepted
