@@ -23,15 +23,15 @@ Written by `make docs` from `shoal/messages/topics.py` and `shoal/messages/messa
 A topic's key stands below the fleet's name (`--fleet`, default `shoal`). A header of 28 bytes travels as Zenoh attachment:
 session u64, sequence u32, stamp i64 in ns, age i64 in ns, little-endian (`shoal/messages/codec.py`).
 """
-TOPICS_HEAD = """*For* is empty where everyone may read; `log`: programs that record or watch, and the simulator, but no
-robot. `*`: not recorded. A number after the way of sending: so many messages are kept for a subscriber that comes later.
+TOPICS_HEAD = """`*`: not recorded. `†`: no robot may read it. A number after the way of sending: so many messages are kept for
+a subscriber that comes later.
 """
 
 MESSAGES_HEAD = """
 ## Messages
 
-`[int]` is a list; a type with `?` may be missing. The fields of the lockstep's clock, and of records by which a step is
-repeated, are explained in the source.
+`[int]` is a list, `float64[n,4]` an array of n rows; a type with `?` may be missing. The source explains the fields of
+messages without a list here: the lockstep's clock, and records by which a step is repeated.
 """
 
 
@@ -53,13 +53,13 @@ def field_comments(cls: type) -> dict[str, str]:
 
 def _type(hint: Any, metadata: Any) -> str:
     if "shape" in metadata:
-        return "float64 " + " × ".join("n" if n == -1 else str(n) for n in metadata["shape"])
+        return f"float64[{','.join('n' if n == -1 else str(n) for n in metadata['shape'])}]"
     if get_origin(hint) is tuple:
         return f"[{get_args(hint)[0].__name__}]"
     if get_origin(hint) is types.UnionType:
         (present,) = (part for part in get_args(hint) if part is not types.NoneType)
         return f"{present.__name__}?"
-    return str(getattr(hint, "__name__", None) or "uint8 height × width")
+    return str(getattr(hint, "__name__", None) or "uint8[height,width]")
 
 
 def _topic_row(topic: Topic) -> str:
@@ -67,10 +67,9 @@ def _topic_row(topic: Topic) -> str:
     age = f"{topic.max_age_s:g} s" if math.isfinite(topic.max_age_s) else "never"
     name = topic.type.__name__
     cells = (
-        f"`{topic.name}`{'' if topic.recorded else ' *'}",
+        f"`{topic.name}`{'' if topic.recorded else '*'}{'' if topic.audience == 'everyone' else '†'}",
         f"[{name}](#{name.lower()})",
         topic.publisher,
-        "" if topic.audience == "everyone" else "log",
         rate,
         age,
         f"{topic.qos.name} {topic.cache_depth}" if topic.cache_depth else topic.qos.name,
@@ -82,7 +81,7 @@ def _message(cls: Any) -> Iterator[str]:
     yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n"
     hints, comments = get_type_hints(cls), field_comments(cls)
     if any(topic.type is cls and (topic.qos is Qos.JOURNAL or topic in (topics.TICK, topics.EXPOSED)) for topic in TOPICS):
-        comments = dict.fromkeys(comments, "")  # of use beside the code that repeats a step, or keeps step
+        return  # its fields are of use beside the code that repeats a step, or keeps step
     fields = [
         (_type(hints[field.name], field.metadata), comments[field.name], field.name) for field in dataclasses.fields(cls)
     ]
@@ -106,7 +105,7 @@ def _enums() -> list[type[enum.IntEnum]]:
 def page() -> str:
     """The whole page."""
     lines = [HEAD, "## Topics\n", TOPICS_HEAD]
-    lines += ["| Key | Message | From | For | Rate | Stale after | Sent as |", "|---|---|---|---|---|---|---|"]
+    lines += ["| Key | Message | From | Rate | Stale after | Sent as |", "|---|---|---|---|---|---|"]
     lines += [_topic_row(topic) for topic in TOPICS]
     lines += [f"\n`{topics.COMMAND_KEY}` is a query: a [Command](#command) in, a [Reply](#reply) out."]
     camera = topics.POSE.of_camera("NAME").name
