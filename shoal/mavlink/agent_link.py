@@ -293,8 +293,8 @@ class AgentLink:
         kind = message.get_type()
         if kind == "ATTITUDE":  # the last of a burst: its time is the burst's
             complete, self._has_depth = self._has_depth, False
-            if not complete:  # the pressure sensor is dead, or that frame lost: the last depth must not look live
-                return {}
+            if not complete or math.isnan(message.yaw) or math.isnan(message.yawspeed):
+                return {}  # a sensor does not measure, or a frame is lost: the last burst must not look live
             tilt = _tilt_of(message)
             burst = {
                 "heading_rad": within(message.yaw, -math.tau, math.tau),
@@ -309,6 +309,8 @@ class AgentLink:
             unit = STANDARD_GRAVITY_MPS2 / 1000.0
             return {"acceleration_mps2": (message.xacc * unit, message.yacc * unit, message.zacc * unit)}
         if kind == "SCALED_PRESSURE2":
+            if math.isnan(message.press_abs):  # not measured, as by a sensor that starts
+                return {}
             depth_m = hpa_to_depth(within(message.press_abs, 500.0, 20_000.0))
             self._has_depth = True
             return {"depth_m": depth_m}

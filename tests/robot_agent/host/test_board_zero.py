@@ -14,7 +14,7 @@ from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.mavlink.agent_link import Telemetry
 from shoal.runtime.runtime import Stop
-from tests.robot_agent.host.restarted_board import Switched
+from tests.robot_agent.host.silent_board import Switched
 
 CONFIRM = "confirm that on the robot with `robot-agent confirm-zero`"
 

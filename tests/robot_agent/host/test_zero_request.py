@@ -17,7 +17,8 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.mavlink.agent_link import Telemetry
 from shoal.runtime.runtime import Stop
-from tests.robot_agent.host.restarted_board import POOL, STEP_NS, RestartedBoard, Switched
+from tests.robot_agent.host.restarted_board import POOL, STEP_NS, RestartedBoard
+from tests.robot_agent.host.silent_board import Switched
 
 
 @pytest.fixture
