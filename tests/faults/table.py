@@ -32,13 +32,13 @@ ROWS: tuple[FaultRow, ...] = (
         rows_sight.lamp_switched, times=5,
     ),
     FaultRow(
-        "camera-bumped", "The camera is bumped", "by 60 to 118 pixels, for 6 s",
+        "camera-bumped", "The camera is bumped", "the picture moves by 60 to 118 pixels, for 6 s",
         {"hold": SECONDS(1.0), rows_sight.TRACKS: TIMES()},
         rows_sight.camera_bumped, times=5,
     ),
     FaultRow(
         "camera-bumped-of-two", "One of two cameras is bumped",
-        "by 23 to 113 pixels for 3 s, while the other sees all robots",
+        "by 23 to 113 pixels, while the other sees all robots",
         {"camera out": SECONDS(0.5), LEFT: TIMES(), rows_cameras.OFF_TRUTH: Measure(0.01, "m")},
         rows_cameras.camera_bumped_of_two, times=10, rig="",
     ),
@@ -90,26 +90,26 @@ ROWS: tuple[FaultRow, ...] = (
         rows_network.station_alone_hung, times=50, rig="router",
     ),
     FaultRow(
-        "partition", "Network partition", "robot 1, both ways or one way, 1 to 5 s",
+        "partition", "Network partition", "robot 1 cut off, both ways or one way, 1 to 5 s",
         {"neutral": SECONDS(0.5), "neutral, still hearing": SECONDS(3.0), "neighbour's plan expired": SECONDS(0.6),
          RESUMED: TIMES()}, rows_network.partition,
     ),
     FaultRow(
-        "partition-short", "Network partition", "robot 1, 0.2 s",
+        "partition-short", "Network partition", "robot 1 cut off, 0.2 s",
         {"worse than holding": TIMES()}, rows_network.partition_short,
     ),
     FaultRow(
-        "start-late", "START late", "robot 2 gets none for 1.2 s",
+        "start-late", "START late", "robot 2 gets no START for 1.2 s",
         {"timetables apart": SECONDS(0.05)}, rows_network.start_late, times=5, rig="seen-patched",
     ),
     FaultRow(
-        "switch-partial", "SWITCH lost", "robot 2 of three gets none",
+        "switch-partial", "SWITCH lost", "robot 2 of three gets no SWITCH",
         {"all hold": SECONDS(4.0), "references out of shape": Measure(0.05, "m"),
          "states on an old plan after RESUME": TIMES()},
         rows_network.switch_partial, times=5, rig="detour",
     ),
     FaultRow(
-        "link-cut", "MAVLink cut", "both ways",
+        "link-cut", "MAVLink cut", "nothing passes, both ways",
         {"neutral": SECONDS(0.3), RESUMED: TIMES()}, rows_robot.link_cut,
     ),
     FaultRow(
@@ -123,13 +123,13 @@ ROWS: tuple[FaultRow, ...] = (
     ),
     FaultRow(
         "thruster-broken", "Thruster dead, stuck, reversed, weak",
-        f"in still water, safety.off_path_m = 0.1; the flag is timed while {LACKING_N} N are lacking",
+        f"dead, stuck, reversed, weak; still water, safety.off_path_m = 0.1; the flag is timed while {LACKING_N} N are lacking",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
          "off its path": Measure(0.15, "m")}, rows_robot.thruster_broken, times=40, rig="still",
     ),
     FaultRow(
         "depth-wrong", "Pressure sensor wrong",
-        "10 m, 0.5 m more, 0.2 m less, or the same for 10 s",
+        "it reads 10 m, 0.5 m more, 0.2 m less, or the same for 10 s",
         {"fault": SECONDS(0.5 + STEP_S), "neutral": SECONDS(0.5 + 2 * STEP_S), "true depth off": Measure(0.05, "m"),
          "true depth off, stuck": Measure(0.15, "m"), RESUMED: TIMES()}, rows_robot.depth_wrong, times=10,
         rig="seen",
@@ -162,7 +162,7 @@ ROWS: tuple[FaultRow, ...] = (
         times=3, rig="page",
     ),
     FaultRow(
-        "page-events", "Log lines that are too long", "two of 4 MB, then a page is opened",
+        "page-events", "Log lines that are too long", "two log lines of 4 MB, then a page is opened",
         {"page opens": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3), LEFT: TIMES()},
         rows_station.page_events, times=5, rig="page",
     ),
@@ -171,7 +171,7 @@ ROWS: tuple[FaultRow, ...] = (
         {LEFT: TIMES()}, rows_station.clock_step, rig="patched",
     ),
     FaultRow(
-        "disk-full", "Log: disk full", "its file system is filled up",
+        "disk-full", "Log: disk full", "the log's file system is filled up",
         {"alert": SECONDS(2.0), "of the log lost": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3),
          "unreadable logs": TIMES(), LEFT: TIMES()},
         rows_station.disk_full, times=20, rig="disk",
@@ -181,28 +181,28 @@ ROWS: tuple[FaultRow, ...] = (
         {"of the log lost": SECONDS(1.0), "unreadable logs": TIMES()}, rows_station.log_killed, times=50, rig="disk",
     ),
     FaultRow(
-        "flood", "Malformed, oversized, flood", "10,000 messages a second in robot 2's name",
+        "flood", "Malformed, oversized, flood", "10,000 malformed or oversized messages a second in robot 2's name",
         {"share of deadlines missed": Measure(0.001, ""), LEFT: TIMES(), "processes ended": TIMES()},
         rows_station.flood, times=10,
     ),
     FaultRow(
-        "thread-dead", "A thread ends", "of localizer, simulator or recorder, by an exception",
+        "thread-dead", "A thread ends", "a thread of localizer, simulator or recorder, by an exception",
         {"process ended": SECONDS(1.0), "ended without a reason": TIMES(), "neutral": SECONDS(1.5),
          "told that the log has stopped": SECONDS(2.0), LEFT: TIMES()},
         rows_station.thread_dead, times=8, rig="patched",
     ),
     FaultRow(
-        "identity-swap", "Identity swap, two robots close", "crossings, brushes, pursuits; markers unreadable",
+        "identity-swap", "Identity swap, two robots close", "two robots cross, brush, pursue; markers unreadable",
         {"undetected swaps": TIMES()}, rows_alone.identity_swap, times=1000, rig="",
     ),
     FaultRow(
         "lossy-network", "Loss, duplicates, reordering, delay",
-        "10 % of the boards' traffic each, late by up to 50 ms",
+        "10 % each of the boards' traffic lost, doubled, late by up to 50 ms",
         {"RMS error over that without": Measure(1.5, "")}, rows_alone.lossy_network, times=5, rig="",
     ),
     FaultRow(
         "not-finite", "NaN, infinity, outside the pool",
-        "in poses, plans, sensors, obstacles, past the decoders",
+        "NaN, infinity in poses, plans, sensors, obstacles, past the decoders",
         {"bad pulses, or beliefs": TIMES()}, rows_alone.not_finite, times=1000, rig="",
     ),
     FaultRow(
