@@ -123,7 +123,7 @@ ROWS: tuple[FaultRow, ...] = (
     ),
     FaultRow(
         "thruster-broken", "Thruster dead, stuck, reversed, weak",
-        f"dead, stuck, reversed, weak; still water, safety.off_path_m = 0.1; the flag is timed while {LACKING_N} N are lacking",
+        f"dead, stuck, reversed, weak; in still water, off_path_m = 0.1; the flag is timed while {LACKING_N} N are lacking",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
          "off its path": Measure(0.15, "m")}, rows_robot.thruster_broken, times=40, rig="still",
     ),
