@@ -21,7 +21,7 @@ from shoal.system import programs
 
 DOCS = Path(__file__).parents[1] / "docs"
 STEM = DOCS / "evidence" / "laws"
-SHOWN = ("rms_after_20s_m", "formation_after_20s_m", "input_step_rms", "wanted_beyond")
+SHOWN = ("rms_after_20s_m", "input_step_rms", "wanted_beyond")
 NOISE = ("--set", "sim.numeric.pose_noise_m=0.0015", "--set", "sim.numeric.yaw_noise_rad=0.008")
 FLIGHTS = (  # words of `sim-bridge compare`
     ("numeric-disturbed", "--scatter", "0.5", "--duration", "35"),
@@ -35,7 +35,7 @@ HEAD = """# Evidence: control laws on the same seeds
 Distance from the reference over all robots, RMS, against the plant's truth: means over the seeds. laws.json has more
 figures, and 95 % bootstrap intervals. × is the distance after 20 s over that of the first law, as the geometric mean of the
 ratios on the same seeds.
-*Formation*: distances between robots, after 20 s. *Wanted beyond*: control steps in which the law wanted more than the limit
+*Wanted beyond*: control steps in which the law wanted more than the limit
 of magnitude or of change. What is applied is cut to both limits for every law. Laws, and how their gains were found:
 [baselines.md](../baselines.md).
 
