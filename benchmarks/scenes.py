@@ -183,7 +183,8 @@ def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
         "",
         "## Poses by kind of track",
         "",
-        f"NEES is 3 where the published covariances are right; target 1.5 to 5. The track is the marker's, or the one in brackets. Fewer than {FEWEST} poses are not shown.",
+        "NEES is 3 where the published covariances are right; target 1.5 to 5. The track is the marker's, or the one in",
+        f"brackets. Fewer than {FEWEST} poses are not shown.",
         "",
         *evidence.table(
             ("Scene", "RMS, mm", "Largest, mm", "NEES"),
