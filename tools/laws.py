@@ -58,7 +58,7 @@ def _failures(comparison: Comparison) -> list[str]:
     for failure in failures(comparison):
         law, _, what = failure.partition(", seed ")
         by_law.setdefault(law, []).append(what.replace(" of the control steps only", ""))
-    return [*(f"* XX by_law.items()), *[""] * bool(by_law)]
+    return [*(f"* {law}, seed {'; '.join(texts)}" for law, texts in by_law.items()), *[""] * bool(by_law)]
 
 
 def page(content: dict[str, Any]) -> str:
