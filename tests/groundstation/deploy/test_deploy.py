@@ -398,9 +398,7 @@ def test_the_next_deployment_starts_a_board_that_was_left_running(kept_manifest:
     assert (tmp_path / "asked").read_text().split() == ["no", "yes"]
 
 
-def test_a_second_deployment_to_a_board_is_refused_while_one_is_under_way(
-    kept_manifest: DeployRequest, tmp_path: Path
-) -> None:
+def test_a_second_deployment_is_refused_while_one_is_under_way(kept_manifest: DeployRequest, tmp_path: Path) -> None:
     ssh, home = tmp_path / "ssh.sh", tmp_path / "board"
     ssh.write_text("""for last; do :; done
 case "$last" in *uname*) printf 'x86_64\\n3.11\\n' ;; *) exec sh -c "$last" ;; esac
@@ -408,8 +406,9 @@ case "$last" in *uname*) printf 'x86_64\\n3.11\\n' ;; *) exec sh -c "$last" ;; e
     request = replace(kept_manifest, home=str(home), ssh=("sh", str(ssh)))
     files = home / "incoming" / "software"  # of the first one, whose script installs them
     files.mkdir(parents=True)
+    alone = deploy_shell.ALONE.format(home=home)
     first = subprocess.Popen(
-        ["sh", "-c", f"{deploy_shell.ALONE.format(home=home)}; echo alone; read end"],
+        ["sh", "-c", f"{alone}; echo alone; read end"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE,
     )  # fmt: skip
     with first:
