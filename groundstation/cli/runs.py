@@ -118,7 +118,10 @@ def export(
         raise typer.BadParameter("either --out FOLDER or --video FILE")
     if video is not None:
         check_output(video, [run_folder / name for name in RUN])
-        typer.echo(f"{video}: {film.write_film(run_folder, video, camera)} pictures")
+        count, left_out = film.write_film(run_folder, video, camera)
+        typer.echo(f"{video}: {count} pictures")
+        if left_out:
+            typer.echo(f"{left_out} pictures of the log cannot be decoded, and are left out", err=True)
         return
     assert out is not None
     written: list[tuple[Path, int | None]]

@@ -28,6 +28,15 @@ INSTALL_S = 900.0  # a small board unpacks and compiles for minutes
 AT_ONCE = 4
 SCRIPT = Path(__file__).parent / "templates" / "board.sh"
 ARMED = Path(__file__).parent / "templates" / "armed.sh"
+# Of two deployments to one board at once the second would take the first one's files away, and the board would hold some of
+# each. The lock is the shell's, and ends with it. A file system that knows no locks lets everybody in.
+ALONE = """exec 9>>{home}/lock; python3 -c '
+import errno, fcntl, sys
+try:
+    fcntl.flock(9, fcntl.LOCK_EX | fcntl.LOCK_NB)
+except OSError as error:
+    sys.exit(error.errno in (errno.EAGAIN, errno.EACCES))' || {{
+echo "another deployment to it is under way: wait until that has ended" >&2; exit 4; }}"""
 
 Files = list[tuple[str, bytes]]
 
@@ -129,7 +138,7 @@ def _brought(target: Target, request: DeployRequest, probe: Probe, home: str) ->
     )
     restart = "no" if not request.restart else "force" if request.force else "yes"
     command = (
-        f"set -e; umask 077; mkdir -p {home}; rm -rf {home}/incoming; mkdir {home}/incoming; "
+        f"set -e; umask 077; mkdir -p {home}; {ALONE.format(home=home)}; rm -rf {home}/incoming; mkdir {home}/incoming; "
         f"tar -xf - -C {home}/incoming; sh {home}/incoming/board.sh {home} {restart}"
     )
     report = manifest.read_report(_ssh(request, target, command, archive, INSTALL_S))

@@ -7,7 +7,8 @@ Circles are the robots' own estimates, crosses their references, lines where the
 
 import importlib
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from groundstation.logs.reader import LogFile, open_log
+from groundstation.logs.reader import LogFile, open_log, read_log
+from groundstation.logs.session_clocks import SessionClocks
 from groundstation.palette import colour as colour_of
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.perception import Camera
@@ -28,13 +30,15 @@ from shoal.messages.messages import Estimate, Mode, Picture, Preview, RobotState
 from shoal.runtime.output_files import replacing
 
 CLOCK_HZ = 90_000  # of the film's stamps
+CLOCKS = (topics.STATE, topics.HEARTBEAT, topics.LOCALIZER)  # topics that say how old they were when they were sent
 TRAIL = 600  # states of a robot's trail: half a minute
 RING = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 33)])
 FLIES = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
 
 
-def write_film(run: Path, out: Path, camera: str = "") -> int:
-    """Write the film of one camera; returns the number of pictures. Raises ConfigError where the log holds none."""
+def write_film(run: Path, out: Path, camera: str = "") -> tuple[int, int]:
+    """Write the film of one camera; returns the number of its pictures, and of those of the log that cannot be decoded. Raises
+    ConfigError where the log holds none."""
     try:
         av: Any = importlib.import_module("av")
     except ModuleNotFoundError:
@@ -46,17 +50,20 @@ def write_film(run: Path, out: Path, camera: str = "") -> int:
         raise ConfigError(f"--camera {camera}: no such camera (allowed: {', '.join(names)})")
     if out.suffix != ".mp4":
         raise ConfigError(f"--video {out}: must end in .mp4")
-    overlay, written, begin_ns = Overlay(experiment, experiment.of_camera(camera).camera), 0, 0
+    clocks = read_log(run / "run.mcap", CLOCKS, lambda message: None).clocks
+    overlay, stamps_ns = Overlay(experiment, experiment.of_camera(camera).camera), list[int]()
+    written, begin_ns, pts = 0, 0, -1
     with open_log(run) as log, replacing(out) as file, av.open(file, "w", format="mp4") as film:
         stream: Any = None
-        for stamp_ns, picture in _pictures(log, overlay, av, camera):
+        for stamp_ns, picture in _pictures(log, clocks, overlay, av, camera, stamps_ns):
             if stream is None:
                 stream = film.add_stream("libx264", rate=20)
                 stream.width, stream.height, stream.pix_fmt = picture.width & ~1, picture.height & ~1, "yuv420p"
                 stream.codec_context.time_base, begin_ns = Fraction(1, CLOCK_HZ), stamp_ns
             drawn = overlay.draw(picture.crop((0, 0, stream.width, stream.height)), stamp_ns)
             frame = av.VideoFrame.from_image(drawn)
-            frame.pts, frame.time_base = (stamp_ns - begin_ns) * CLOCK_HZ // 10**9, Fraction(1, CLOCK_HZ)
+            pts = max((stamp_ns - begin_ns) * CLOCK_HZ // 10**9, pts + 1)  # the encoder would sort what goes back
+            frame.pts, frame.time_base = pts, Fraction(1, CLOCK_HZ)
             film.mux(stream.encode(frame))
             written += 1
         if stream is None:
@@ -64,28 +71,42 @@ def write_film(run: Path, out: Path, camera: str = "") -> int:
                 f"{run}: the log holds no pictures of the camera (recording.video or recording.preview keep them)"
             )
         film.mux(stream.encode())
-    return written
+    return written, len(stamps_ns) - written
 
 
-def _pictures(log: LogFile, overlay: "Overlay", av: Any, camera: str) -> Iterator[tuple[int, Image.Image]]:
-    """Stamp and picture of the best film that the log holds; what robots and station say on the way goes to the overlay."""
+def _pictures(
+    log: LogFile, clocks: SessionClocks, overlay: "Overlay", av: Any, camera: str, stamps_ns: list[int]
+) -> Iterator[tuple[int, Image.Image]]:
+    """Stamp on the recorder's clock and picture of the best film that the log holds; what robots and station say on the way
+    goes to the overlay. `stamps_ns` takes the stamps of all pictures, also of those that cannot be decoded."""
     films = {topic.of_camera(camera).name: topic for topic in (topics.VIDEO, topics.PICTURE, topics.PREVIEW)}
     held = {line.topic.name for line in log.messages(lambda topic, _: topic.name in films)}
     chosen = next((name for name in films if name in held), "")
     codec = av.CodecContext.create("h264" if films.get(chosen) is topics.VIDEO else "mjpeg", "r")
     wanted = {chosen, topics.STATE.name, topics.HEARTBEAT.name}
-    stamps = deque[int]()
     for line in log.messages(lambda topic, _: topic.name in wanted):
         try:
             message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
         except DecodeError:
             continue
+        header = line.header
+        shift_ns = clocks.shift_ns(line.topic.name, header.session, header.stamp_ns)
         if line.topic.name != chosen:
-            overlay.hear(line.robot, message, line.header.stamp_ns)
+            overlay.hear(line.robot, message, shift_ns)
             continue
-        stamps.append(line.header.stamp_ns)
-        for frame in codec.decode(av.Packet(_bytes(message))):
-            yield stamps.popleft(), frame.to_image()
+        packet = av.Packet(_bytes(message))
+        packet.pts = len(stamps_ns)
+        stamps_ns.append(header.stamp_ns + shift_ns)
+        yield from _decoded(av, codec, packet, stamps_ns)
+    yield from _decoded(av, codec, None, stamps_ns)
+
+
+def _decoded(av: Any, codec: Any, packet: Any, stamps_ns: Sequence[int]) -> Iterator[tuple[int, Image.Image]]:
+    """The pictures that come out of the decoder for a packet whose number is its `pts`; None: those that wait in it. A
+    damaged picture, or one of which the log lacks what it is the change from, gives none."""
+    with suppress(av.error.FFmpegError):
+        for frame in codec.decode(packet):
+            yield stamps_ns[-1 if frame.pts is None else frame.pts], frame.to_image()
 
 
 def _bytes(message: Video | Picture | Preview) -> bytes:
@@ -101,10 +122,11 @@ class Overlay:
         self._trails: dict[int, deque[Array]] = {robot: deque(maxlen=TRAIL) for robot in experiment.robot_ids}
         self._began_ns, self._mission = 0, ""
 
-    def hear(self, robot: int, message: RobotState | StationHeartbeat, stamp_ns: int) -> None:
-        """Take in what a robot or the station said."""
+    def hear(self, robot: int, message: RobotState | StationHeartbeat, shift_ns: int) -> None:
+        """Take in what a robot or the station said, whose clock is behind the pictures' by `shift_ns`."""
         if isinstance(message, StationHeartbeat):
-            self._began_ns, self._mission = message.began_ns or self._began_ns, message.mission
+            self._began_ns = message.began_ns + shift_ns if message.began_ns else self._began_ns
+            self._mission = message.mission
         elif robot in self._trails and message.estimate is not None:
             self._states[robot] = message, message.estimate
             self._trails[robot].append(message.estimate.eta[:3])

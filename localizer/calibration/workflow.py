@@ -160,7 +160,9 @@ def _fit_lens(request: CalibrationRequest) -> tuple[IntrinsicsFit, dict[str, str
             views.setdefault(size_px, []).append(view)
             backdrops[size_px] = picture
     if not views:
-        raise ConfigError(f"--board {request.board}: found in none of {len(sizes)} pictures; are counts and kind right?")
+        legacy = ", or is it drawn by an OpenCV before 4.6 (:legacy)" if request.board.startswith("charuco") else ""
+        where = f"found in none of {len(sizes)} pictures"
+        raise ConfigError(f"--board {request.board}: {where}; are counts and kind right{legacy}?")
     size_px = max(views, key=lambda size: (len(views[size]), size))
     _leave_out_other_sizes(request, sizes, size_px, left_out)
     kept, repeated = distinct_views(views[size_px])

@@ -194,10 +194,10 @@ def track(
     table = PoseTable(out, _fingerprint(f"{loaded.hash} {camera}", recording, reports))
     table.check(resume)
     with ExitStack() as stack:
-        film, first_ns = recording, 0
+        film, first_ns, left_out = recording, 0, ""
         if recording.suffix == LOG:
             film = Path(stack.enter_context(TemporaryDirectory())) / "film.mkv"
-            first_ns = film_of_log(recording, camera, film)
+            first_ns, left_out = film_of_log(recording, camera, film)
         video = None if raw else stack.enter_context(closing(VideoReader(film)))
         frames = recorded_frames(recording) if video is None else frames_of_video(video, recording, loaded, reports)
         frames = (replace(frame, stamp_ns=frame.stamp_ns + first_ns) for frame in frames) if first_ns else frames
@@ -207,9 +207,10 @@ def track(
                 bar.update(finished - bar.pos)
         damage = "" if video is None else video.damage()
     typer.echo(f"Wrote {out}: {table.rows} poses from {table.frames} pictures.")
-    for trouble in filter(None, (table.failures, damage)):
+    troubles = [trouble for trouble in (table.failures, left_out, damage) if trouble]
+    for trouble in troubles:
         typer.echo(trouble, err=True)
-    if table.failures or damage:
+    if troubles:
         raise typer.Exit(1)
 
 

@@ -1,7 +1,7 @@
 """SHELL: the film of the camera in a run's log (recording.video = "h264") as a video file, for what reads video files."""
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import IO, Any
@@ -16,9 +16,10 @@ from shoal.system.regular_files import open_regular
 CLOCK_HZ = 90_000  # of a film's stamps
 
 
-def film_of_log(log: Path, camera: str, out: Path) -> int:
-    """Write the packets of the log's film, as they are, to `out` (.mkv); returns the stamp of the first in ns. Raises
-    ConfigError for a log without film."""
+def film_of_log(log: Path, camera: str, out: Path) -> tuple[int, str]:
+    """Write the packets of the log's film, as they are, to `out` (.mkv): from the first whole picture to where the stamps go
+    back. Returns the stamp of the first in ns, and a sentence about pictures that are left out, or "". Raises ConfigError for
+    a log without film."""
     try:
         av: Any = importlib.import_module("av")
     except ModuleNotFoundError:
@@ -26,15 +27,15 @@ def film_of_log(log: Path, camera: str, out: Path) -> int:
     name = topics.VIDEO.of_camera(camera).name
     try:
         with os_errors_as_config_errors(log), open_regular(log) as file:
-            stamps_ns = [stamp_ns for stamp_ns, _ in _packets(file, name)]
+            stamps_ns = [stamp_ns for stamp_ns, _ in _in_order(_packets(log, file, name))]
+            count = sum(1 for _ in _packets(log, file, name))
         if len(stamps_ns) < 2:
             raise ConfigError(f'{log}: holds no film of the camera (recording.video = "h264" keeps one)')
         # The mean rate: where the recorder left pictures out, a reader must not count on any other.
         rate_hz = Fraction(10**9 * (len(stamps_ns) - 1), stamps_ns[-1] - stamps_ns[0]).limit_denominator(10_000)
         with os_errors_as_config_errors(log), open_regular(log) as file, av.open(str(out), "w") as film:
             stream: Any = None
-            for stamp_ns, data in _packets(file, name):
-                packed = decode(Video, data, str(log), name).h264
+            for stamp_ns, packed in _in_order(_packets(log, file, name)):
                 stream = _stream(av, film, packed, rate_hz) if stream is None else stream
                 packet = av.Packet(packed)
                 packet.stream, packet.time_base = stream, Fraction(1, CLOCK_HZ)
@@ -43,17 +44,37 @@ def film_of_log(log: Path, camera: str, out: Path) -> int:
                 film.mux(packet)
     except (mcap_records.Damaged, DecodeError) as error:
         raise ConfigError(f"{log}: {error}") from None
-    return stamps_ns[0]
+    except av.error.FFmpegError as error:
+        raise ConfigError(f"{log}: its film cannot be read: {error}") from None
+    why = "what comes before the first whole one, and after the camera's clock was set back"
+    left_out = count - len(stamps_ns)
+    return stamps_ns[0], f"{log}: {left_out} of {count} pictures are left out: {why}" if left_out else ""
 
 
-def _packets(file: IO[bytes], name: str) -> Iterator[tuple[int, bytes]]:
-    return ((stamp_ns, data) for topic, stamp_ns, data in mcap_records.messages(file) if topic.endswith(f"/{name}"))
+def _packets(log: Path, file: IO[bytes], name: str) -> Iterator[tuple[int, bytes]]:
+    """Stamp and packet of each picture of the log."""
+    for topic, stamp_ns, data in mcap_records.messages(file):
+        if topic.endswith(f"/{name}"):
+            yield stamp_ns, decode(Video, data, str(log), name).h264
+
+
+def _in_order(packets: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    """The packets from the first whole picture to where their stamps no longer rise: no video file has a time twice."""
+    last_ns: int | None = None
+    for stamp_ns, packed in packets:
+        if last_ns is not None and stamp_ns <= last_ns:
+            return
+        if last_ns is not None or _begins(packed):
+            last_ns = stamp_ns
+            yield stamp_ns, packed
 
 
 def _stream(av: Any, film: Any, packed: bytes, rate_hz: Fraction) -> Any:
     """A stream like that of its first packet, which holds the decoder's parameters."""
     look = av.CodecContext.create("h264", "r")
     frames = [*look.decode(av.Packet(packed)), *look.decode(None)]
+    if not frames:
+        raise av.error.InvalidDataError(0, "its first picture is damaged")
     stream = film.add_stream("libx264", rate=rate_hz)
     stream.width, stream.height, stream.pix_fmt = frames[0].width, frames[0].height, "yuv420p"
     stream.codec_context.extradata = packed[: packed.index(b"\x00\x00\x01\x65")]

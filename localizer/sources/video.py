@@ -23,6 +23,7 @@ from shoal.system.regular_files import open_regular
 _MOST_HZ = 1e4  # a larger rate is a file that does not know its own
 _ON_GRID = 0.25  # of a period: stamps so near to multiples of it are those of a constant rate. Matroska rounds to 1 ms
 _LONGEST_END = 2.0  # times the longest time between two pictures: a video that ends so long before its duration was cut
+_MOST_LISTED = 1_000_000  # pictures: 14 h at 20 Hz. A damaged index says any number, and each is looked for
 _MOST_NAMED = 5  # ranges of missing pictures that a message names
 
 
@@ -47,7 +48,8 @@ class VideoReader:
         self.size_px = (width, height)
         own_hz = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz = own_hz if 0.0 < own_hz < _MOST_HZ else None  # the mean, as far as the file knows it
-        self._listed = max(int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)  # pictures by the file's index, 0: unknown
+        listed = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))  # pictures by the file's index
+        self._listed = listed if 0 < listed <= _MOST_LISTED else 0  # 0: unknown
         self._packets_ms = _packet_stamps_ms(path, self._listed)
         if not self._packets_ms:
             raise ConfigError(f"video {path}: no picture can be read")
@@ -137,6 +139,8 @@ class VideoReader:
         count = max(len(self._packets_ms), self._listed)
         if self._constant:
             count = max(count, round(self._packets_ms[-1] * 1e-3 * self.rate_hz) + 1)
+        if count > max(len(self._packets_ms), _MOST_LISTED):
+            raise ConfigError(f"video {self._path}: {len(self._packets_ms)} pictures, and stamps for {count} (convert it)")
         return [round(1e9 * number / self.rate_hz) for number in range(count)]
 
     def _number(self, last: int) -> int:
@@ -186,8 +190,9 @@ def _is_constant(stamps_ms: list[float], rate_hz: float) -> bool:
 
 def _ranges(numbers: list[int]) -> str:
     """Rising numbers in words: 3, 7 to 9, ..."""
-    starts = [number for number in numbers if number - 1 not in set(numbers)]
-    ends = [number for number in numbers if number + 1 not in set(numbers)]
+    known = set(numbers)
+    starts = [number for number in numbers if number - 1 not in known]
+    ends = [number for number in numbers if number + 1 not in known]
     parts = [str(a) if a == b else f"{a} to {b}" for a, b in zip(starts, ends, strict=True)]
     return ", ".join(parts[:_MOST_NAMED]) + (", ..." if len(parts) > _MOST_NAMED else "")
 

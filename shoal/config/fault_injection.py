@@ -147,6 +147,8 @@ def read_what(text: str) -> Break:
         place_m = float(match[1]), float(match[2])
     elif target:
         robot, thruster = (int(number) for number in (*match.groups(), "0")[:2])
+    if target.startswith("ROBOT") and robot < 1:
+        raise ValueError(f"robot {robot}: no robot has this number (allowed: 1 and more)")
     if target == "ROBOT/THRUSTER" and not 1 <= thruster <= THRUSTERS:
         raise ValueError(f"thruster {thruster} of robot {robot}: no such thruster (allowed: 1 to {THRUSTERS})")
     return Break(kind, words[0], value, robot, thruster, process, place_m, camera)

@@ -15,6 +15,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO
 
@@ -53,12 +54,13 @@ class Packed:
 def records(file: IO[bytes], skipped: list[str] | None = None) -> Iterator[tuple[int, bytes]]:
     """Opcode and body of every record in order, chunks replaced by what is in them, checksums verified. Raises Damaged where
     the records themselves cannot be followed. With `skipped` a chunk or an attachment that is damaged in itself is left out
-    and named there; without it that is an error too."""
+    and named there; without it that is an error too. A channel is declared once, in the chunk of its first message: in place
+    of the first damaged chunk come the declarations of the file's end, or nothing behind that chunk could be read."""
     allowed = Allowance(_size(file))
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
         raise Damaged("does not begin as MCAP files do")
-    checksum = zlib.crc32(MAGIC)
+    checksum, are_declared = zlib.crc32(MAGIC), False
     while True:
         at = file.tell()
         opcode, length = read_head(file, at, allowed.file_bytes)
@@ -66,7 +68,11 @@ def records(file: IO[bytes], skipped: list[str] | None = None) -> Iterator[tuple
         if len(body) < length:
             raise Damaged(f"byte {at}: cut within a record")
         if opcode == CHUNK:
+            count = len(skipped or ())
             yield from _within(body, allowed, at, skipped)
+            if len(skipped or ()) > count and not are_declared:
+                are_declared = True
+                yield from _declared(file, allowed.file_bytes)
         elif opcode == ATTACHMENT and len(body) >= 4 and _U32.unpack(body[-4:])[0] not in (0, zlib.crc32(body[:-4])):
             _tell(Damaged(f"byte {at}: an attachment's checksum is wrong"), skipped)
         else:
@@ -86,6 +92,20 @@ def _within(body: bytes, allowed: "Allowance", at: int, skipped: list[str] | Non
     except Damaged as error:
         _tell(error, skipped)
         return ()
+
+
+def _declared(file: IO[bytes], file_bytes: int) -> Iterator[tuple[int, bytes]]:
+    """The schemas and channels that stand outside of chunks from here on. The file is then read on from here."""
+    begin = at = file.tell()
+    with suppress(Damaged):
+        opcode = 0
+        while opcode != FOOTER:
+            file.seek(at)
+            opcode, length = read_head(file, at, file_bytes)
+            at += _HEAD.size + length
+            if opcode in (SCHEMA, CHANNEL):
+                yield opcode, file.read(length)
+    file.seek(begin)
 
 
 def _tell(error: Damaged, skipped: list[str] | None) -> None:

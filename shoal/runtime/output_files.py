@@ -302,8 +302,9 @@ def _same(path: Path, other: Path) -> bool:
 
 
 def _is_device(path: Path) -> bool:
-    """True for a terminal, a pipe, /dev/null, which cannot be replaced."""
-    return path.absolute().parts[1:2] in (("dev",), ("proc",)) or (path.exists() and not path.is_file())
+    """True for a terminal, a pipe, /dev/null, which cannot be replaced. /dev/shm is a disk, in memory."""
+    top = path.absolute().parts[1:3]
+    return (top[:1] in (("dev",), ("proc",)) and top != ("dev", "shm")) or (path.exists() and not path.is_file())
 
 
 def new_run_folder(out: Path, name: str) -> Path:

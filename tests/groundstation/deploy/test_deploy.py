@@ -398,6 +398,31 @@ def test_the_next_deployment_starts_a_board_that_was_left_running(kept_manifest:
     assert (tmp_path / "asked").read_text().split() == ["no", "yes"]
 
 
+def test_a_second_deployment_is_refused_while_one_is_under_way(kept_manifest: DeployRequest, tmp_path: Path) -> None:
+    ssh, home = tmp_path / "ssh.sh", tmp_path / "board"
+    ssh.write_text("""for last; do :; done
+case "$last" in *uname*) printf 'x86_64\\n3.11\\n' ;; *) exec sh -c "$last" ;; esac
+""")
+    request = replace(kept_manifest, home=str(home), ssh=("sh", str(ssh)))
+    files = home / "incoming" / "software"  # of the first one, whose script installs them
+    files.mkdir(parents=True)
+    alone = deploy_shell.ALONE.format(home=home)
+    first = subprocess.Popen(
+        ["sh", "-c", f"{alone}; echo alone; read end"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    with first:
+        assert first.stdout is not None and first.stdout.readline() == b"alone\n"
+        with pytest.raises(ConfigError, match="another deployment to it is under way"):
+            deploy_one(Target("board", 1), request)
+        assert files.is_dir()
+        first.communicate(b"\n")
+    again = subprocess.run(
+        ["sh", "-c", f"{deploy_shell.ALONE.format(home=home)}; echo alone"], capture_output=True, check=True
+    )
+    assert again.stdout == b"alone\n"
+
+
 @pytest.mark.parametrize("service", ["activating", "failed"])
 def test_a_service_that_does_not_come_up_is_trouble(kept_manifest: DeployRequest, tmp_path: Path, service: str) -> None:
     (tmp_path / "service").write_text(service)

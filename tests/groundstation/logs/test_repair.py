@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.writer import MCAP0_MAGIC
 
-from groundstation.logs.reader import is_complete, open_log, read_log, valid_records
+from groundstation.logs.reader import is_complete, open_log, read_log, valid_messages, valid_records
 from groundstation.logs.recorder import Recorder
 from groundstation.logs.repair import recover
 from groundstation.report.report import write_report
@@ -117,6 +117,18 @@ def test_a_closed_log_with_a_damaged_chunk_is_mended_and_says_so(tmp_path: Path)
     assert read_log(path, ()).trouble.startswith("Damaged log")
     assert recover(path) is False
     assert [file.name for file in tmp_path.glob("*.original*")] == ["run.mcap.original"]
+
+
+def test_the_chunk_that_declares_the_channels_costs_no_other_when_it_is_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    several_flushes(path)
+    data = bytearray(path.read_bytes())
+    data[100_000] ^= 0xFF  # in the first chunk
+    path.write_bytes(data)
+    kept = [line.header.sequence for line in valid_messages(path)]
+    assert len(kept) > 3 and kept == list(range(9 - len(kept), 9))
+    assert recover(path)
+    assert sequences(path) == kept
 
 
 def test_a_damaged_experiment_of_a_log_is_left_out_and_named(tmp_path: Path) -> None:

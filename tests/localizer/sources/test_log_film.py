@@ -1,5 +1,6 @@
 """The film in a run's log is read as a video is: every picture, at its time."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ def test_every_picture_of_a_log_is_in_the_film_at_its_time(tmp_path: Path) -> No
         video = encode(Video(pack(grey, stamp_ns)), stamp_ns)
         recorder.put(topics.VIDEO, "shoal/camera/video", Header(7, k + 1, stamp_ns), video, stamp_ns + 5)
     recorder.close()
-    assert film_of_log(tmp_path / "run.mcap", "", tmp_path / "film.mkv") == BEGIN_NS
+    assert film_of_log(tmp_path / "run.mcap", "", tmp_path / "film.mkv") == (BEGIN_NS, "")
     film = VideoReader(tmp_path / "film.mkv")
     assert film.size_px == experiment.camera.size_px
     pictures = list(film.pictures())
@@ -42,3 +43,34 @@ def test_a_log_without_film_says_which_key_keeps_one(tmp_path: Path) -> None:
     recorder.close()
     with pytest.raises(ConfigError, match=r"recording\.video"):
         film_of_log(tmp_path / "run.mcap", "", tmp_path / "film.mkv")
+
+
+def _logged(folder: Path, pictures: Sequence[tuple[int, bool]]) -> Path:
+    """A log with a picture for each stamp, of an encoder that is started anew where the second is True; none for stamp 0."""
+    experiment = load_experiment("pool", ['recording.video="h264"'])
+    pack, recorder = packer(experiment.recording, experiment.camera.size_px), Recorder(folder / "run.mcap", "", {})
+    for k, (stamp_ns, begins) in enumerate(pictures):
+        pack = packer(experiment.recording, experiment.camera.size_px) if begins else pack
+        video = pack(np.full(experiment.camera.size_px[::-1], 40 + 6 * k, dtype=np.uint8), BEGIN_NS + k * EVERY_NS)
+        if stamp_ns:
+            recorder.put(
+                topics.VIDEO, "shoal/camera/video", Header(7, k + 1, stamp_ns), encode(Video(video), stamp_ns), stamp_ns
+            )
+    recorder.close()
+    return folder / "run.mcap"
+
+
+def test_the_film_begins_with_the_first_whole_picture_and_ends_where_the_clock_goes_back(tmp_path: Path) -> None:
+    stamps_ns = [0, *(BEGIN_NS + k * EVERY_NS for k in range(1, 8)), *(BEGIN_NS // 2 + k * EVERY_NS for k in range(8, 12))]
+    log = _logged(tmp_path, [(stamp_ns, k in (3, 8)) for k, stamp_ns in enumerate(stamps_ns)])
+    first_ns, left_out = film_of_log(log, "", tmp_path / "film.mkv")
+    assert first_ns == stamps_ns[3] and "6 of 11 pictures are left out" in left_out
+    film = VideoReader(tmp_path / "film.mkv")
+    assert [picture.stamp_ns for picture in film.pictures()] == [k * EVERY_NS for k in range(5)]
+    film.close()
+
+
+@pytest.mark.parametrize("pictures", [[(BEGIN_NS, False)] * 4, [(0, False), (BEGIN_NS, False), (BEGIN_NS + EVERY_NS, False)]])
+def test_a_log_of_which_no_film_can_be_made_is_refused(tmp_path: Path, pictures: list[tuple[int, bool]]) -> None:
+    with pytest.raises(ConfigError, match="holds no film"):
+        film_of_log(_logged(tmp_path, pictures), "", tmp_path / "film.mkv")

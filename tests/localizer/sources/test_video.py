@@ -1,6 +1,7 @@
 """Real video files, whole and spoiled: each picture has the number and the stamp with which it was filmed."""
 
 import struct
+import time
 from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from localizer.detection.image_regions import Pixels
+from localizer.sources import video
 from localizer.sources.files import VideoSource
 from localizer.sources.video import VideoPicture, VideoReader
 from shoal.errors import ConfigError
@@ -141,3 +143,21 @@ def test_text_file_is_refused_as_a_video(tmp_path: Path) -> None:
     for name, complaint in (("text.avi", "cannot be read as a video"), ("nowhere.avi", "no such file")):
         with pytest.raises(ConfigError, match=f"{name}: {complaint}"):
             VideoReader(tmp_path / name)
+
+
+def test_an_index_that_lists_billions_of_pictures_is_not_believed(tmp_path: Path) -> None:
+    path = _motion_jpeg(tmp_path / "film.avi")
+    data = bytearray(path.read_bytes())
+    for name, offset in ((b"avih", 24), (b"strh", 40)):
+        struct.pack_into("<I", data, data.index(name) + offset, 2**31 - 1)
+    path.write_bytes(data)
+    begin_s = time.monotonic()
+    pictures, damage = _read(path)
+    assert [picture.number for picture in pictures] == list(range(COUNT)) and damage == ""
+    assert time.monotonic() - begin_s < 2.0
+
+
+def test_many_missing_pictures_are_named_at_once() -> None:
+    begin_s = time.monotonic()
+    assert video._ranges(list(range(0, 100_000, 2))) == "0, 2, 4, 6, 8, ..."
+    assert time.monotonic() - begin_s < 1.0

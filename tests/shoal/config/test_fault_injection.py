@@ -44,6 +44,8 @@ def test_fault_texts_that_are_understood(text: str, meaning: Break) -> None:
         ("t=1 thruster 2 dead", "must read: thruster ROBOT/THRUSTER dead|stuck|reversed|weak [fraction of its thrust]"),
         ("t=1 thruster 2/3", "must read: thruster"),
         ("t=1 thruster 2/5 dead", "thruster 5 of robot 2: no such thruster (allowed: 1 to 4)"),
+        ("t=1 thruster 0/2 dead", "robot 0: no robot has this number"),
+        ("t=1 link 0 cut", "robot 0: no robot has this number"),
         ("t=1 thruster 2/3 dead 4", "must read: thruster"),
         ("t=1 thruster 2/3 weak 1.5", "1.5: must be the fraction of its thrust, 0 to 1"),
         ("t=1 link 1 slow fast", "fast: must be the delay in s, 0 to 5"),

@@ -4,7 +4,9 @@ import errno
 import os
 import re
 import resource
+import secrets
 import stat
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -80,6 +82,21 @@ def test_a_pipe_is_written_to(tmp_path: Path) -> None:
         os.close(reader)
     replace_text(Path("/dev/null"), "nobody reads it")
     assert Path("/dev/null").is_char_device()
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="Linux's disk in memory")
+def test_a_file_in_shared_memory_is_replaced_like_any_other() -> None:
+    path = Path("/dev/shm") / f"{secrets.token_hex(8)}.toml"
+    try:
+        replace_text(path, "an earlier, longer text")
+        with suppress(ValueError), replacing(path) as file:
+            file.write(b"half")
+            raise ValueError
+        assert path.read_text() == "an earlier, longer text"
+        replace_text(path, "new")
+        assert path.read_text() == "new"
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def test_an_input_file_is_not_overwritten_by_any_name(tmp_path: Path) -> None:
