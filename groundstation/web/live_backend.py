@@ -46,8 +46,6 @@ STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
 class LiveBackend:
-    """Backend of the live fleet."""
-
     kept_events = KEPT_EVENTS
 
     def __init__(

@@ -13,8 +13,6 @@ from shoal.frames import Array
 
 
 class BasinGate:
-    """The gate of one experiment."""
-
     def __init__(self, experiment: Experiment) -> None:
         self._half_m = np.array(experiment.pool.size_m[:2]) / 2.0 + experiment.localizer.basin_margin_m
         self._masks_px = experiment.camera.masks_px

@@ -145,7 +145,6 @@ def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, manner: M
 
 
 def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
-    """Weights of heave."""
     rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
     return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 0.0, 1.0, False)
 
@@ -166,7 +165,6 @@ def planar_limits(vehicle: Vehicle) -> InputLimits:
 
 
 def depth_limits(vehicle: Vehicle) -> InputLimits:
-    """Limits of heave."""
     return InputLimits(np.array([vehicle.limits.wrench[1]]), np.array([vehicle.limits.wrench_rate_per_s[1]]))
 
 
