@@ -196,7 +196,7 @@ class LiveBackend:
         return notes
 
     def _clocks_settle(self) -> bool:
-        """Say whether robots may still have to tell their clocks: their lines of before this start come with the first."""
+        """True just after the start, when lines of an earlier run may come before the state that shows their robot's clock."""
         return not self._clock.waits and 0 <= self._clock.now_ns() - self._begun_ns < SETTLE_NS
 
     def _told_ns(self, arrived_ns: int, header: Header) -> int:
