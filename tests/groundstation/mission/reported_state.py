@@ -1,4 +1,4 @@
-"""What a stand-in for a robot reports: the one place of the tests of missions that makes a RobotState."""
+"""State that stand-ins for robots report: the one place of the tests of missions that makes a RobotState."""
 
 from typing import Any
 
