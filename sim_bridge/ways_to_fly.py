@@ -42,7 +42,6 @@ WAYS = (
 
 
 def table() -> str:
-    """The table in Markdown."""
     heads = ("Command", "Localizer", "Station", "Agents", "Boards", "Network", "Time", "Same seed, same bits")
     lines = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
     for way in WAYS:

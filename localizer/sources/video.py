@@ -102,7 +102,6 @@ class VideoReader:
         return text
 
     def close(self) -> None:
-        """Close the file."""
         self._capture.release()
 
     @property

@@ -48,7 +48,6 @@ def rerun(
 
 
 def _tell(comparisons: "list[StepComparison]") -> None:
-    """The comparison as tables."""
     from rich.table import Table
 
     console = terminal()

@@ -260,7 +260,6 @@ def _changes(seed: int | None, duration_s: float | None, settings: list[str] | N
 def _go_on(
     experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
 ) -> NoReturn:
-    """Run `sil --from`."""
     from sim_bridge.in_process import resume, run
 
     if experiment is not None:

@@ -67,8 +67,6 @@ class Weights(NamedTuple):
 
 
 class InputLimits(NamedTuple):
-    """Limits of the commands."""
-
     size: Floats  # (axes,) N or N m
     rate: Floats  # (axes,) per second
 
@@ -84,8 +82,6 @@ class PlanProblem(NamedTuple):
 
 
 class QuadraticProgram(NamedTuple):
-    """Memory of a quadratic program."""
-
     hessian: Table
     gradient: Floats
     matrix: Table  # rows: sizes of commands, their changes, half-spaces
@@ -109,8 +105,6 @@ class Memory(NamedTuple):
 
 
 class Iteration(NamedTuple):
-    """Result of one iteration."""
-
     before: float  # cost, m^2 s
     after: float
     share: float  # of the program's step

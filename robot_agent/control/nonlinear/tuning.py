@@ -149,9 +149,11 @@ def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, manner: M
 
 
 def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
-    """Weights of heave."""
     rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
-    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 0.0, 1.0, False, math.inf)
+    end_s, lead_s = END_SHARE / tuning.depth, 1.0 / tuning.depth
+    return Weights(
+        rate, turning_m2=0.0, end_s=end_s, lead_s=lead_s, facing_s=0.0, entry=1.0, is_steered=False, fastest_mps=math.inf
+    )  # fmt: skip
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:
@@ -170,7 +172,6 @@ def planar_limits(vehicle: Vehicle) -> InputLimits:
 
 
 def depth_limits(vehicle: Vehicle) -> InputLimits:
-    """Limits of heave."""
     return InputLimits(np.array([vehicle.limits.wrench[1]]), np.array([vehicle.limits.wrench_rate_per_s[1]]))
 
 
