@@ -150,6 +150,16 @@ def test_robot_comes_back_to_its_path_without_overshoot() -> None:
     assert np.all(np.diff(aside[gone:]) < 1e-3)
 
 
+def test_robot_whose_path_is_over_does_not_creep_around_one_that_rests() -> None:
+    """Its end is 1.6 m away, behind a robot that rests."""
+    point, time_s = Point(-1.6, 0.0, 0.1), 60.0
+    while abs(point.place - point.end) > 0.05 and time_s < 90.0:
+        point.step(time_s, one(-0.75 + 0.05j, 0j, KEEP_M, False))
+        point.move()
+        time_s += PERIOD_S
+    assert time_s < 60.0 + 2.2 / (0.25 * AGILITY.fastest_mps)
+
+
 @pytest.mark.parametrize(("robot", "other", "by_its_path"), [(0.0j, 0.1j, True), (0.5j, 0.1j, True), (0.5j, 1.0j, False)])
 def test_path_that_leads_into_others_is_told_from_a_robot_that_is_off_it(
     robot: complex, other: complex, by_its_path: bool
