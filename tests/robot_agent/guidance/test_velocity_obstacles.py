@@ -151,13 +151,18 @@ def test_robot_comes_back_to_its_path_without_overshoot() -> None:
 
 
 def test_robot_whose_path_is_over_does_not_creep_around_one_that_rests() -> None:
-    """Its end is 1.6 m away, behind a robot that rests."""
-    point, time_s = Point(-1.6, 0.0, 0.1), 60.0
-    while abs(point.place - point.end) > 0.05 and time_s < 90.0:
-        point.step(time_s, one(-0.75 + 0.05j, 0j, KEEP_M, False))
+    """Something is ahead of it until its path is over. Then a robot rests halfway between it and its end."""
+    point, time_s, rests = Point(-1.6, 0.0, 0.1), 0.0, 0j
+    while time_s < 20.0 or abs(point.place - point.end) > 0.05:
+        if time_s < 20.0:
+            ahead = (point.end - point.place) / abs(point.end - point.place)
+            point.step(time_s, one(point.place + ahead, 0j, 1.5, False))
+            rests = 0.5 * point.place + 0.02j
+        else:
+            point.step(time_s, one(rests, 0j, KEEP_M, False))
         point.move()
         time_s += PERIOD_S
-    assert time_s < 60.0 + 2.2 / (0.25 * AGILITY.fastest_mps)
+        assert time_s < 20.0 + 4.0 * abs(rests) / (0.5 * AGILITY.fastest_mps)
 
 
 @pytest.mark.parametrize(("robot", "other", "by_its_path"), [(0.0j, 0.1j, True), (0.5j, 0.1j, True), (0.5j, 1.0j, False)])
