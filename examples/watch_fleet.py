@@ -14,7 +14,8 @@ async def watch(fleet: shoal.ConnectedFleet) -> None:
         for robot in fleet.robots:
             state = await asyncio.to_thread(fleet.state, robot, max_age_s=10.0)
             where = "place not known" if state.estimate is None else "x {:.2f} y {:.2f} m".format(*state.estimate.eta[:2])
-            battery = "board not heard" if state.board is None else f"{state.board.battery_v:.1f} V"
+            battery_v = 0.0 if state.board is None else state.board.battery_v  # 0 until the board has reported it
+            battery = f"{battery_v:.1f} V" if battery_v > 0.0 else "battery not known"
             print(f"robot {robot}: {state.mode.name}, {where}, {battery}")
         await asyncio.sleep(1.0)
 

@@ -200,7 +200,8 @@ static void handle(struct board *board, struct event *event, uint64_t now_us) {
     struct link *link = &board->link;
     switch (event->kind) {
     case EVENT_OVERRIDE:
-        rules_override(&board->rules, event->from, event->pulses_us, link_arrival_us(link, now_us));
+        if (rules_override(&board->rules, event->from, event->pulses_us, link_arrival_us(link, now_us)))
+            board->is_commanded = true;
         break;
     case EVENT_ARM: {
         if (!event->arm && board->has_order && board->order.kind == EVENT_ARM)
@@ -385,19 +386,23 @@ static struct reading zeroed(struct board *board, const struct reading *measured
     return reading;
 }
 
-void board_step(struct board *board, uint64_t now_us, const struct reading *reading) {
-    const bool measures = reading != NULL, hil = rules_hil(&board->rules);
+void board_step(struct board *board, uint64_t now_us) {
+    board->is_commanded = false;
+    rules_step(&board->rules, now_us);
+    report(board);
+}
+
+void board_measure(struct board *board, uint64_t now_us, const struct reading *reading) {
+    const bool hil = rules_hil(&board->rules);
     struct reading own;
-    if (hil && measures) {
+    if (hil) {
         age(&board->simulated, now_us);
         reading = &board->simulated.reading;
-    } else if (measures) {
+    } else {
         own = zeroed(board, reading);
         reading = &own;
     }
-    const bool has_motion = !hil || board->simulated.has_motion, has_battery = !hil || board->simulated.has_battery;
-    rules_step(&board->rules, now_us);
     report(board);
-    if (measures && is_due(&board->burst_due_us, BURST_US, now_us))
-        burst(board, now_us, reading, has_motion, has_battery);
+    if (is_due(&board->burst_due_us, BURST_US, now_us))
+        burst(board, now_us, reading, !hil || board->simulated.has_motion, !hil || board->simulated.has_battery);
 }

@@ -2,7 +2,8 @@
 go out. The counterpart of sim_bridge/thruster_board/board.py.
 
 A port (posix/, avr/) calls, as often as it can: board_put with the bytes that came, board_work until it returns false, and
-board_step every STEP_US, board_weigh before it when it is due; it sends what board->link has to send. None of these calls waits or takes long. */
+board_step every STEP_US, board_weigh before it and board_measure when they are due; it sends what board->link has to send. None of these
+calls waits or takes long. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -53,6 +54,7 @@ struct board {
     uint8_t told_chip[CHIPS];
     bool told_armed, told_hil;
     uint16_t told_status;
+    bool is_commanded; /* an override was taken, which the next step follows */
     uint8_t to_list; /* parameters from this one on are still to be told */
     uint64_t burst_due_us, status_due_us, heartbeat_due_us, keep_due_us;
     bool has_weighed;
@@ -69,10 +71,12 @@ void board_begin(struct board *board, uint8_t robot, const struct settings *sett
 
 uint16_t board_put(struct board *board, const uint8_t *data, uint16_t bytes, uint64_t now_us); /* how many found room */
 bool board_work(struct board *board, uint64_t now_us); /* do a small piece; true: call again */
-bool board_measures(const struct board *board, uint64_t now_us); /* the step to this instant needs a reading */
+bool board_measures(const struct board *board, uint64_t now_us); /* a burst is due, and has room */
 bool board_weighs(const struct board *board, uint64_t now_us); /* the battery is due, every BURST_US */
 void board_weigh(struct board *board, uint64_t now_us, float voltage_v);
-void board_step(struct board *board, uint64_t now_us, const struct reading *reading); /* NULL unless it measures */
+void board_step(struct board *board, uint64_t now_us);
+/* Send a burst with what was measured at `now_us`; in HIL mode with what the simulator has measured, and `reading` is nothing. */
+void board_measure(struct board *board, uint64_t now_us, const struct reading *reading);
 
 /* The port asks what to keep, writes it, and says when it is written. */
 enum { KEEP_NOTHING = 0, KEEP_SETTINGS = 1, KEEP_STAMPS = 2, KEEP_ZEROS = 4 };

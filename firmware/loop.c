@@ -24,17 +24,31 @@ void loop_begin(struct loop *loop, uint8_t robot) {
     move_outputs(&loop->board.rules);
 }
 
-static void step(struct loop *loop, uint64_t now_us, const struct reading *reading) {
+static void step(struct loop *loop, uint64_t now_us) {
     link_mark(&loop->board.link, hal_waiting(), now_us);
     if (board_weighs(&loop->board, now_us))
         board_weigh(&loop->board, now_us, hal_battery_v());
-    board_step(&loop->board, now_us, reading);
-    loop->has_reading = false;
+    board_step(&loop->board, now_us);
     move_outputs(&loop->board.rules);
     hal_alive();
     loop->step_at_us += STEP_US;
     if (loop->step_at_us <= now_us) /* held up: go on from here */
         loop->step_at_us = now_us + STEP_US;
+}
+
+/* Take a sample, and in the next loop send it. In HIL mode the simulator measures. */
+static void measure(struct loop *loop, uint64_t now_us) {
+    struct board *board = &loop->board;
+    if (rules_hil(&board->rules))
+        board_measure(board, now_us, NULL);
+    else if (!loop->has_reading) {
+        hal_sample(now_us, board->zero.now.gyro_bias_radps, &loop->reading);
+        loop->sampled_at_us = now_us;
+        loop->has_reading = true;
+        return;
+    } else
+        board_measure(board, loop->sampled_at_us, &loop->reading);
+    loop->has_reading = false;
 }
 
 /* Take what has come, do a piece of the work, go on with the memory, send. Returns false if there was nothing to do. */
@@ -47,7 +61,7 @@ static bool serve_link(struct loop *loop, uint64_t now_us) {
     const bool worked = board_work(board, now_us);
     if (board->link.count.taken != taken)
         hal_heard();
-    if (board->rules.has_command && board->rules.command_at_us == now_us)
+    if (board->is_commanded)
         loop->step_at_us = now_us; /* the outputs follow an override in the next loop, and its age ends with a step */
     store_continue(&loop->store, board);
     uint16_t bytes;
@@ -55,17 +69,17 @@ static bool serve_link(struct loop *loop, uint64_t now_us) {
     bytes = bytes > 0 ? hal_write(output, bytes) : 0;
     if (bytes > 0)
         link_sent(&board->link, bytes);
-    return worked || read > 0 || bytes > 0 || loop->store.writing != KEEP_NOTHING;
+    return worked || read > 0 || bytes > 0 || store_is_writing(&loop->store);
 }
 
 void loop_once(struct loop *loop) {
     const uint64_t now_us = hal_now_us();
-    const bool steps = now_us >= loop->step_at_us, measures = steps && board_measures(&loop->board, now_us);
-    if (measures && !loop->has_reading && !rules_hil(&loop->board.rules)) { /* in HIL mode the simulator measures */
-        hal_sample(now_us, loop->board.zero.now.gyro_bias_radps, &loop->reading);
-        loop->has_reading = true;
-    } else if (steps)
-        step(loop, now_us, measures ? &loop->reading : NULL);
-    else if (!serve_link(loop, now_us))
-        hal_idle(loop->step_at_us);
+    if (now_us >= loop->step_at_us)
+        step(loop, now_us);
+    else if (board_measures(&loop->board, now_us))
+        measure(loop, now_us);
+    else if (!serve_link(loop, now_us)) {
+        const uint64_t burst_at_us = loop->board.burst_due_us;
+        hal_idle(burst_at_us < loop->step_at_us ? burst_at_us : loop->step_at_us);
+    }
 }

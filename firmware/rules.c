@@ -7,21 +7,27 @@
 
 #define BATTERY_FILTER_S 1.0f /* time constant of the voltage filter: thrust lowers the voltage for moments */
 
-static bool is_thruster(const struct rules *rules, uint8_t channel) { return channel < rules->parameters.value[THR_COUNT]; }
-
-/* Pulse without trim at power-on, and on the pin in HIL mode. */
-static uint16_t rest_us(const struct rules *rules, uint8_t channel) {
+/* Take over the parameters of the outputs. They are whole. */
+static void set_pins(struct rules *rules) {
     const float *value = rules->parameters.value;
-    if (is_thruster(rules, channel))
-        return (uint16_t)value[THR_NEUTRAL_US];
-    return (uint16_t)((uint16_t)(value[ANK_MIN_US] + value[ANK_MAX_US]) / 2);
+    rules->thrusters = (uint8_t)value[THR_COUNT];
+    rules->is_held = rules_hil(rules) && value[HIL_OUTPUTS] == 0.0f;
+    for (uint8_t i = 0; i < CHANNELS; i++) {
+        struct pin *pin = &rules->pin[i];
+        const float *limit_us = value + (i < rules->thrusters ? THR_MIN_US : ANK_MIN_US); /* and behind it the highest */
+        pin->lowest_us = (uint16_t)limit_us[0];
+        pin->highest_us = (uint16_t)limit_us[1];
+        pin->rest_us = i < rules->thrusters ? (uint16_t)value[THR_NEUTRAL_US] : (uint16_t)((pin->lowest_us + pin->highest_us) / 2);
+        pin->trim_us = (int16_t)value[THR1_TRIM_US + i];
+    }
 }
 
 void rules_begin(struct rules *rules, const struct parameters *parameters, struct peer computer) {
     rules->parameters = *parameters;
     rules->computer = computer;
+    set_pins(rules);
     for (uint8_t i = 0; i < CHANNELS; i++)
-        rules->echo_us[i] = rest_us(rules, i);
+        rules->echo_us[i] = rules->pin[i].rest_us;
 }
 
 bool rules_hil(const struct rules *rules) { return rules->parameters.value[HIL_MODE] != 0.0f; }
@@ -31,11 +37,12 @@ uint16_t rules_echo_us(const struct rules *rules, uint8_t channel) {
 }
 
 uint16_t rules_output_us(const struct rules *rules, uint8_t channel) {
-    const bool held = rules_hil(rules) && rules->parameters.value[HIL_OUTPUTS] == 0.0f;
-    const float *value = rules->parameters.value;
-    const float pulse_us = held ? rest_us(rules, channel) : rules_echo_us(rules, channel);
-    const float *limit_us = value + (is_thruster(rules, channel) ? THR_MIN_US : ANK_MIN_US); /* and behind it the highest */
-    return (uint16_t)fminf(fmaxf(pulse_us + value[THR1_TRIM_US + channel], limit_us[0]), limit_us[1]);
+    const struct pin *pin = &rules->pin[channel];
+    const uint16_t pulse_us = rules->is_held ? pin->rest_us : rules_echo_us(rules, channel);
+    const uint16_t trimmed_us = (uint16_t)(pulse_us + (uint16_t)pin->trim_us); /* modulo 2^16; at least 400 */
+    if (trimmed_us < pin->lowest_us)
+        return pin->lowest_us;
+    return trimmed_us < pin->highest_us ? trimmed_us : pin->highest_us;
 }
 
 static struct text *say(struct rules *rules, enum severity severity) {
@@ -58,25 +65,24 @@ static void disarm(struct rules *rules, enum severity severity, const char *reas
 /* --- what arrives */
 
 static bool is_allowed(const struct rules *rules, const uint16_t pulses_us[CHANNELS]) {
-    const float *value = rules->parameters.value;
     for (uint8_t i = 0; i < CHANNELS; i++) {
-        const uint16_t pulse_us = pulses_us[i];
-        if (is_thruster(rules, i) && !(value[THR_MIN_US] <= pulse_us && pulse_us <= value[THR_MAX_US]))
-            return false;
-        if (!is_thruster(rules, i) && pulse_us != IGNORED && !(value[ANK_MIN_US] <= pulse_us && pulse_us <= value[ANK_MAX_US]))
+        const struct pin *pin = &rules->pin[i];
+        const bool is_ignored = i >= rules->thrusters && pulses_us[i] == IGNORED;
+        if (!is_ignored && !(pin->lowest_us <= pulses_us[i] && pulses_us[i] <= pin->highest_us))
             return false;
     }
     return true;
 }
 
-void rules_override(struct rules *rules, struct peer sender, const uint16_t pulses_us[CHANNELS], uint64_t now_us) {
+bool rules_override(struct rules *rules, struct peer sender, const uint16_t pulses_us[CHANNELS], uint64_t now_us) {
     if (!same_peer(sender, rules->computer) || !is_allowed(rules, pulses_us)) {
         rules->overrides_refused++;
-        return;
+        return false;
     }
     memcpy(rules->command_us, pulses_us, sizeof rules->command_us);
     rules->command_at_us = now_us;
     rules->has_command = true;
+    return true;
 }
 
 static bool is_stale(const struct rules *rules, uint64_t now_us) {
@@ -85,7 +91,7 @@ static bool is_stale(const struct rules *rules, uint64_t now_us) {
 }
 
 static bool is_neutral_command(const struct rules *rules) {
-    for (uint8_t i = 0; is_thruster(rules, i); i++)
+    for (uint8_t i = 0; i < rules->thrusters; i++)
         if (!is_neutral_pulse(&rules->parameters, rules->command_us[i]))
             return false;
     return true;
@@ -124,8 +130,10 @@ enum refusal rules_change(struct rules *rules, int parameter, float value) {
         return REFUSED_ARMED;
     const bool was_hil = rules_hil(rules);
     const enum refusal refusal = parameters_change(&rules->parameters, parameter, value);
-    if (refusal == TAKEN)
+    if (refusal == TAKEN) {
         rules->has_command = false; /* it was checked against the old values */
+        set_pins(rules);
+    }
     if (rules_hil(rules) != was_hil) { /* the voltage so far is another battery's */
         rules->has_voltage = false;
         rules->charge = CHARGE_GOOD;
@@ -184,7 +192,7 @@ void rules_battery(struct rules *rules, float voltage_v, float elapsed_s) {
 static void move(struct rules *rules, float reach_us) {
     for (uint8_t i = 0; i < CHANNELS; i++) {
         const float way_us = rules->command_us[i] - rules->echo_us[i];
-        if (is_thruster(rules, i))
+        if (i < rules->thrusters)
             rules->echo_us[i] += fminf(fmaxf(way_us, -reach_us), reach_us);
         else if (rules->command_us[i] != IGNORED)
             rules->echo_us[i] = rules->command_us[i];
@@ -207,6 +215,6 @@ void rules_step(struct rules *rules, uint64_t now_us) {
         move(rules, value[SLEW_US_S] * elapsed_s);
         return;
     }
-    for (uint8_t i = 0; is_thruster(rules, i); i++)
+    for (uint8_t i = 0; i < rules->thrusters; i++)
         rules->echo_us[i] = value[THR_NEUTRAL_US];
 }

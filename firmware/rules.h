@@ -17,6 +17,13 @@ enum { CHANNELS = 8, IGNORED = 65535, TEXTS = 6 };
 enum charge { CHARGE_GOOD, CHARGE_WARN, CHARGE_NO_ARM, CHARGE_NEUTRAL };
 enum result { ACCEPTED = 0, REJECTED = 1, UNSUPPORTED = 3 }; /* MAV_RESULT; rejected: for now */
 
+/* An output's parameters as whole numbers: each step asks for them, and an 8-bit processor has no others. */
+struct pin {
+    uint16_t lowest_us, highest_us;
+    uint16_t rest_us; /* pulse without trim at power-on, and on the pin in HIL mode */
+    int16_t trim_us;
+};
+
 struct rules {
     struct parameters parameters;
     struct peer computer; /* overrides count from here only */
@@ -27,6 +34,9 @@ struct rules {
     uint64_t command_at_us, stepped_at_us;
     float voltage_v; /* filtered */
     float echo_us[CHANNELS]; /* pulses without trims: thrusters first, then ankles */
+    struct pin pin[CHANNELS];
+    uint8_t thrusters; /* of the outputs, from the first on */
+    bool is_held;      /* the pins rest, whatever the outputs are */
     uint32_t overrides_refused;
     uint8_t texts;
     struct text text[TEXTS]; /* to send; the sender sets `texts` to 0 */
@@ -36,7 +46,8 @@ struct rules {
 void rules_begin(struct rules *rules, const struct parameters *parameters, struct peer computer);
 
 /* What arrives. */
-void rules_override(struct rules *rules, struct peer sender, const uint16_t pulses_us[CHANNELS], uint64_t now_us);
+/* False if it was refused. */
+bool rules_override(struct rules *rules, struct peer sender, const uint16_t pulses_us[CHANNELS], uint64_t now_us);
 enum result rules_arm(struct rules *rules, bool wanted, uint64_t now_us);
 enum refusal rules_change(struct rules *rules, int parameter, float value);
 bool rules_take_key(struct rules *rules); /* false while armed; else the last override no longer counts */

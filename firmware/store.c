@@ -115,30 +115,27 @@ void store_load(struct store *store, struct memory *memory) {
     }
 }
 
-/* Put the record, which is filled but for its count and checksum, into the area's next place, byte by byte from now on. */
-static void begin_record(struct store *store, uint8_t area, uint8_t what) {
+/* Put a record, which is filled but for its count and checksum, into the area's next place, byte by byte from now on. */
+static struct writing begin_record(struct store *store, uint8_t *record, uint8_t area, uint8_t what) {
     const uint16_t bytes = AREA[area].bytes;
-    store->writing = what;
     store->slot[area] = (uint8_t)((store->slot[area] + 1) % AREA[area].slots);
-    write16(store->record + COUNT_AT, ++store->count[area]);
-    write16(store->record + bytes - 2, checksum(store->record, (uint16_t)(bytes - 2)));
-    store->address = address_of(area, store->slot[area]);
-    store->at = 0;
-    store->bytes = bytes;
+    write16(record + COUNT_AT, ++store->count[area]);
+    write16(record + bytes - 2, checksum(record, (uint16_t)(bytes - 2)));
+    return (struct writing){.what = what, .record = record, .address = address_of(area, store->slot[area]), .bytes = bytes};
 }
 
 static void begin_stamps(struct store *store, const struct board *board) {
     store->stamps = board_stamps(board);
-    write_timestamp(store->record + HEARD_AT, store->stamps.heard);
-    write_timestamp(store->record + SENT_AT, store->stamps.sent);
-    begin_record(store, STAMPS_AREA, KEEP_STAMPS);
+    write_timestamp(store->stamps_record + HEARD_AT, store->stamps.heard);
+    write_timestamp(store->stamps_record + SENT_AT, store->stamps.sent);
+    store->stamps_writing = begin_record(store, store->stamps_record, STAMPS_AREA, KEEP_STAMPS);
 }
 
 static void begin_zeros(struct store *store, struct board *board) {
     board_kept(board, KEEP_ZEROS, store->stamps); /* a change from now on is kept by the next write */
     memset(store->record, 0, ZEROS_SLOT);
     memcpy(store->record + ZEROS_AT, &board->zero.now, sizeof board->zero.now);
-    begin_record(store, ZEROS_AREA, KEEP_ZEROS);
+    store->writing = begin_record(store, store->record, ZEROS_AREA, KEEP_ZEROS);
 }
 
 static void begin_settings(struct store *store, struct board *board) {
@@ -151,30 +148,46 @@ static void begin_settings(struct store *store, struct board *board) {
     memcpy(store->record + KEY_AT, settings.key, KEY_BYTES);
     write16(store->record + TABLE_AT, store->table);
     memcpy(store->record + VALUES_AT, &settings.parameters, sizeof settings.parameters);
-    begin_record(store, SETTINGS_AREA, KEEP_SETTINGS);
+    store->writing = begin_record(store, store->record, SETTINGS_AREA, KEEP_SETTINGS);
+}
+
+bool store_is_writing(const struct store *store) {
+    return store->stamps_writing.what != KEEP_NOTHING || store->writing.what != KEEP_NOTHING;
+}
+
+/* Begin the record that comes first of those that the board wants kept. */
+static void begin(struct store *store, struct board *board) {
+    if (board->memory & KEEP_STAMPS)
+        begin_stamps(store, board);
+    else if (store->writing.what != KEEP_NOTHING)
+        return;
+    else if (board->memory & KEEP_SETTINGS)
+        begin_settings(store, board);
+    else if (board->memory & KEEP_ZEROS)
+        begin_zeros(store, board);
+}
+
+/* Write the next byte that is another one than the memory has; false if there is none left. */
+static bool write_next(struct writing *writing) {
+    while (writing->at < writing->bytes) {
+        const uint16_t address = (uint16_t)(writing->address + writing->at);
+        const uint8_t value = writing->record[writing->at++];
+        if (hal_eeprom_read(address) != value) {
+            hal_eeprom_write(address, value);
+            return true;
+        }
+    }
+    writing->what = KEEP_NOTHING;
+    return false;
 }
 
 void store_continue(struct store *store, struct board *board) {
     if (hal_eeprom_busy())
         return;
-    if (store->writing == KEEP_NOTHING) {
-        if (board->memory & KEEP_STAMPS)
-            begin_stamps(store, board);
-        else if (board->memory & KEEP_SETTINGS)
-            begin_settings(store, board);
-        else if (board->memory & KEEP_ZEROS)
-            begin_zeros(store, board);
-        return;
-    }
-    while (store->at < store->bytes) {
-        const uint16_t address = (uint16_t)(store->address + store->at);
-        const uint8_t value = store->record[store->at++];
-        if (hal_eeprom_read(address) != value) {
-            hal_eeprom_write(address, value);
-            return;
-        }
-    }
-    if (store->writing == KEEP_STAMPS)
+    if (store->stamps_writing.what == KEEP_NOTHING)
+        begin(store, board);
+    if (store->stamps_writing.what == KEEP_NOTHING)
+        write_next(&store->writing);
+    else if (!write_next(&store->stamps_writing))
         board_kept(board, KEEP_STAMPS, store->stamps);
-    store->writing = KEEP_NOTHING;
 }

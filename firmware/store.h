@@ -1,7 +1,8 @@
 /* Settings, timestamps and the zeros of the sensors in an EEPROM, with worn levelling: each write goes to the next of many places, and the newest that is
 whole counts. A loss of power while writing leaves the one before.
 
-Writing goes on byte by byte beside everything else (3.4 ms each on an ATmega2560). */
+Writing goes on byte by byte beside everything else (3.4 ms each on an ATmega2560). Timestamps, which orders wait for, go before the
+rest of a longer record. */
 #ifndef STORE_H
 #define STORE_H
 
@@ -18,15 +19,21 @@ enum {
 };
 enum { SETTINGS_AREA, STAMPS_AREA, ZEROS_AREA, STORE_AREAS };
 
+/* A record that is being written. */
+struct writing {
+    uint8_t what; /* KEEP_SETTINGS, KEEP_STAMPS, KEEP_ZEROS or KEEP_NOTHING */
+    const uint8_t *record;
+    uint16_t address, at, bytes;
+};
+
 struct store {
     uint16_t table; /* checksum of the table of parameters */
     bool is_first; /* no settings were found: the first are written twice, see store_load */
     uint8_t slot[STORE_AREAS]; /* the newest */
     uint16_t count[STORE_AREAS];
-    uint8_t writing; /* KEEP_SETTINGS, KEEP_STAMPS, KEEP_ZEROS or KEEP_NOTHING */
-    struct stamps stamps;
-    uint16_t address, at, bytes;
-    uint8_t record[SETTINGS_SLOT];
+    struct stamps stamps; /* that are being written */
+    struct writing stamps_writing, writing; /* of timestamps; of settings or zeros */
+    uint8_t stamps_record[STAMPS_SLOT], record[SETTINGS_SLOT];
 };
 
 /* What was kept, as board_begin takes it. */
@@ -40,5 +47,6 @@ struct memory {
 void store_load(struct store *store, struct memory *memory);
 /* Write what the board wants kept, a byte at most with each call. */
 void store_continue(struct store *store, struct board *board);
+bool store_is_writing(const struct store *store);
 
 #endif

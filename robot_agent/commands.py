@@ -2,14 +2,13 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, read_record, state_folder, write_record
+from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, confirmed, read_record, state_folder, write_record
 from robot_agent.host.config import load_agent_config, merge_config, template
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict, exit_code, to_json
 from shoal.bus.endpoint import parse_address
@@ -17,6 +16,7 @@ from shoal.bus.network import refuse_open
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.scene import LARGEST_ROBOT
 from shoal.errors import ConfigError, os_errors_as_config_errors
+from shoal.mavlink.agent_link import CALIBRATE, UNSUPPORTED
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName
 from shoal.runtime.output_files import check_output, replace_text
@@ -130,11 +130,12 @@ def confirm_zero(
     where = folder or state_folder() or SERVICE_FOLDER
     with os_errors_as_config_errors(where / FILE):
         if not ask_program(where, in_air):
-            reports = tell_board(load_agent_config(config), in_air)
-            record = read_record(where)
-            if record is not None:
-                write_record(where, replace(record, zero_m=0.0, depth_m=0.0), durable=True)
-            elif not reports:
+            telemetry = tell_board(load_agent_config(config), in_air)
+            if read_record(where) is not None:
+                if telemetry.board_ms < 0:
+                    raise ConfigError("the board reports no depth: try again")
+                write_record(where, confirmed(telemetry), durable=True)
+            elif telemetry.acknowledged == (CALIBRATE, UNSUPPORTED):
                 raise ConfigError("the board keeps no zero that could be confirmed: restart it in air")
     typer.echo("the thruster board takes its depth zero anew" if in_air else "the thruster board's depth zero is confirmed")
 

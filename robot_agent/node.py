@@ -165,7 +165,8 @@ class AgentNode:
             self.link.wait(LEAVE_AGAIN_S)
             self.mavlink.receive(self.link.read(), self.clock.now_ns())
             telemetry = self.mavlink.telemetry
-            disarmed = telemetry.acknowledgements > before and telemetry.acknowledged == DISARMED and not telemetry.armed
+            answered = telemetry.acknowledgements > before and telemetry.acknowledged == DISARMED
+            disarmed = answered and not (telemetry.armed or telemetry.arm_open)
         if self.mavlink.telemetry.autopilot_name:
             log.log(level, "%s; %s is on the link: nothing is sent to it", why, self.mavlink.telemetry.autopilot_name)
             return

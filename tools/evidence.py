@@ -11,9 +11,10 @@ from benchmarks.robots import report
 EVIDENCE = Path(__file__).parents[1] / "docs" / "evidence"
 HEAD = """# Evidence
 
-What can be measured, and how; a link leads to a page that is written. Each page states commit, machine, seeds and targets, and
-has its figures as JSON beside it. Times depend on the machine: compare rows of one page only. `make bench ARGS=NAME` measures
-without writing a page. This list is written by `make docs`.
+What can be measured; a link leads to a page that is written. Each page states commit, machine, seeds and targets, and has its
+figures as JSON beside it. Times depend on the machine: compare rows of one page only. This list is written by `make docs`.
+
+A name without a command is a benchmark: `make evidence ARGS=NAME` writes its page, `make bench ARGS=NAME` only measures.
 
 """
 OTHERS = {  # pages with commands of their own
@@ -25,7 +26,7 @@ OTHERS = {  # pages with commands of their own
 
 
 def _rows() -> Iterator[list[str]]:
-    commands = {name: (f"make evidence ARGS={name}", what) for name, (_, what) in BENCHMARKS.items()}
+    commands = {name: (name, what) for name, (_, what) in BENCHMARKS.items()}
     for name, (command, what) in {**OTHERS, **commands}.items():
         yield [f"[{what}]({name}.md)" if (EVIDENCE / f"{name}.md").exists() else what, f"`{command}`"]
 

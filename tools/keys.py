@@ -1,7 +1,6 @@
-"""Reference of keys, faults and constants, the editors' schemas, and the table of gains in docs/control.md."""
+"""Reference of keys and faults, the editors' schemas, and the table of gains in docs/control.md."""
 
 import json
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,27 +13,26 @@ from shoal.config.fault_injection import KINDS, OF_PROCESSES
 from shoal.config.key_reference import KeyEntry, KeyTable
 from shoal.config.vehicle import Vehicle, load_vehicle
 from sim_bridge.fault_schedule import NUMERIC
-from tools import readers
 
 ROOT = Path(__file__).parents[1]
 LAID = "Written by `make docs` from the models in `shoal/config/`; `groundstation keys-of` prints examples.\n"
 COPIES = 4  # keys that two sections share: the second one is a copy of the first
-OUT = """A key without default may be left out: its meaning says what holds then. A value without a kind is a number. In
-brackets: the module that reads the key, unless many do. Ranges: `groundstation keys-of`, the editor's schema, or the error
-message.
+AGAIN = 4  # words of a meaning that is not printed twice on a page
+HOW_TO_READ = """A name ends with its unit ([units](../frames-and-units.md#units)). A value without a kind is a number. A key
+without default may be left out: its meaning says what holds then. Ranges: `groundstation keys-of`, the editor's schema, or
+the error message.
 """
+AS_THERE = "How to read the list: [experiment.md](experiment.md).\n"
 
 
 def _row(entry: KeyEntry, prefix: str) -> str:
-    """`key=default` kind unit: meaning (module that reads it)."""
+    """`key=default` kind: meaning."""
     default = "" if entry.default in ("", "required") else f"={entry.default}"
     boolean = "" if default else "true/false"
     kind = entry.type.replace("list of ", "").replace("true or false", boolean).replace('" or "', '", "')
-    kind = f"{'' if kind == 'number' and entry.unit else kind} {entry.unit}".strip()
     marks = [mark for mark, is_set in (("required", entry.default == "required"), ("live", entry.live)) if is_set]
-    about = ", ".join(part for part in (kind, *marks) if part)
-    reader = readers.cell(entry.name)
-    return f"* `{entry.name.removeprefix(prefix)}{default}`{about and f' {about}'}: {entry.meaning}{reader and f' ({reader})'}"
+    about = ", ".join(part for part in ("" if kind == "number" else kind, *marks) if part)
+    return f"* `{entry.name.removeprefix(prefix)}{default}`{about and f' {about}'}: {entry.meaning}"
 
 
 def _table(table: KeyTable) -> Iterator[str]:
@@ -72,9 +70,22 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
             yield table
 
 
-def _page(title: str, intro: str, tables: Iterable[KeyTable]) -> str:
-    sections = (line for table in _without_copies(tables) for line in _table(table))
-    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}".rstrip(), *sections]) + "\n"
+def _once(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
+    """The tables, with "as above" for a meaning that an earlier key of the same name has."""
+    said: set[tuple[str, str]] = set()
+    for table in tables:
+        leaves = [(entry.name.rpartition(".")[2], entry.meaning) for entry in table.entries]
+        entries = tuple(
+            replace(entry, meaning="as above.") if leaf in said and len(leaf[1].split()) > AGAIN else entry
+            for entry, leaf in zip(table.entries, leaves, strict=True)
+        )
+        said.update(leaves)
+        yield replace(table, entries=entries)
+
+
+def _page(title: str, intro: str, tables: Iterable[KeyTable], how: str = AS_THERE) -> str:
+    sections = (line for table in _once(_without_copies(tables)) for line in _table(table))
+    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{how}".rstrip(), *sections]) + "\n"
 
 
 def _faults() -> Iterator[str]:
@@ -127,34 +138,10 @@ def _gains() -> str:
     return "\n".join([head, *(f"| {' | '.join(row)} |" for row in rows)]) + "\n"
 
 
-def _constants() -> Iterator[str]:
-    yield "# Constants of controller and observer\n\nWritten by `make docs` from the sources.\n"
-    yield "All other gains follow from the vehicle file, the control period and the reported noise"
-    yield "([formulas](../control.md#weights)). A name ends with its unit; one without is a ratio. All were flown on the"
-    yield "[grid](../evidence/robots.md): 2.3 to 40 kg, thrust x 0.5 to 3, inertia x 0.25 to 8, lag 0.05 to 0.5 s, dead time"
-    yield "up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of the speed."
-    for path in CONSTANTS:
-        yield f"\n## {path}\n"
-        lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
-        for line in lines:
-            match = re.match(r"([A-Z][A-Z0-9_, ]*) = ([^#]+?)  # (.+)", line)
-            if match and re.search(r"\d", match[2]) and not re.search(r"range\(|slice\(|{", match[2]):
-                name, value, reason = match.groups()
-                yield f"* `{name} = {value}`: {reason}"
-
-
-CONSTANTS = (
-    *(f"robot_agent/control/nonlinear/{name}.py" for name in (
-        "tuning", "prediction", "program", "planner", "first_guess", "course", "obstacle_rows", "nonlinear_controller",
-    )),
-    "robot_agent/vehicle/kalman.py",
-    "robot_agent/vehicle/filter_bank.py",
-)  # fmt: skip
-
 MISSION_STATES = """# States of a mission
 
 Written by `make docs` from the station's own table; `groundstation mission states` prints it. Explained in
-[missions.md](../missions.md).
+[missions.md](../missions.md). States whose name does not say it all:
 
 """
 
@@ -170,12 +157,12 @@ def files() -> dict[Path, str]:
     before, _, after = control.read_text(encoding="utf-8").split(GAINS)
     return {
         control: f"{before}{GAINS}{_gains()}{GAINS}{after}",
-        folder / "gains.md": "\n".join(_constants()) + "\n",
         folder / "experiment.md": _page(
             "Keys of an experiment",
             "Every key but those of [controller.md](controller.md) and [simulation.md](simulation.md).\n"
             "`--set pool.walls=false` changes one; entries of lists are numbered from 0: `--set robots.0.urgent=true`.\n",
             others,
+            HOW_TO_READ,
         ),
         folder / "controller.md": _page(
             "Keys of the controller",

@@ -13,7 +13,6 @@ from shoal.config.loader import sections_of
 
 ROOT = Path(__file__).parents[1]
 PROGRAMS = ("localizer", "robot_agent", "groundstation", "sim_bridge", "shoal")
-NAMED = 2  # modules in a cell; of more, the package is named if it is one
 WORD = re.compile(r"(\.?)\b([A-Za-z_]\w*)")
 TEXT = re.compile(r'""".*?"""', re.DOTALL)
 
@@ -64,12 +63,3 @@ def readers(name: str) -> list[str]:
             loose.append(module)
     programs = [m for m in strict if "/config/" not in m]
     return programs or strict or loose
-
-
-def cell(name: str) -> str:
-    """The readers of a key in few words."""
-    modules = readers(name)
-    if len(modules) <= NAMED:
-        return ", ".join(f"`{module}`" for module in modules)
-    packages = sorted({module.partition("/")[0] for module in modules})
-    return packages[0] if len(packages) == 1 else ""

@@ -203,26 +203,19 @@ def _worst_nees(group: Sequence[FlightFigures]) -> str:
     return f"{nees[name]:.2g} {name}"
 
 
-FLIGHTS: Column = ("Flights", lambda group: str(len(group)))
-TROUBLE: Column = ("Trouble", _trouble)
 NEES: Column = ("NEES", _worst_nees)
 PATH_COLUMNS: tuple[Column, ...] = (
-    FLIGHTS,
-    TROUBLE,
     ("Within 5 cm, s", lambda group: _worst((f.settled_s for f in group), 1.0)),
     ("RMS, mm", lambda group: _worst((f.rms_m for f in group), 1e3)),
     ("HOLD, mm", lambda group: _worst((f.hold_m for f in group), 1e3)),
     NEES,
 )
 MEETING_COLUMNS: tuple[Column, ...] = (
-    FLIGHTS,
-    TROUBLE,
     ("Nearest, m", lambda group: f"{min(_nearest(group)):.3f}" if _nearest(group) else ""),
     ("Back, s", lambda group: _worst((f.back_s for f in group), 1.0)),
     NEES,
 )
 TRAP_COLUMNS: tuple[Column, ...] = (
-    FLIGHTS,
     ("Stops after, s", lambda group: _worst((f.stop_s for f in group), 1.0)),
     ("Cause named", lambda group: str(sum(f.is_named for f in group))),
 )
@@ -246,9 +239,9 @@ def markdown(run: GridRun, before: GridRun | None = None) -> str:
         *([f"Before it: **{before.law}**{_with(before.settings)}, {before.origin}."] if before else []),
         "",
         "Poses are the simulation's with noise, without a camera. Figures are against the plant's truth; each cell's are",
-        "those of its worst flight (the JSON file has all). In a cell flights differ in path, control rate (10, 20, 50 Hz),",
-        f"speed, start and sensors. RMS is from 20 s on; HOLD lasts {run.hold_s:g} s and is measured from 10 s on. NEES is 1",
-        "where the observer's covariances are true; shown is the worst group of states.",
+        f"those of its worst of {_fewest_and_most(run)} flights, which differ in path, control rate (10, 20, 50 Hz), speed,",
+        f"start and sensors. RMS is from 20 s on; HOLD lasts {run.hold_s:g} s, measured from 10 s on. NEES is 1 where the",
+        "observer's covariances are true; shown is the worst group of states.",
         "A flight is lost if it never settles or never comes back.",
         "",
         f"A flight again: `{run.command.format('CELL', 'N')}`. The worst one of all:",
@@ -282,7 +275,14 @@ def _target_table(run: GridRun, before: GridRun | None) -> tuple[tuple[str, ...]
 def _row(cell: str, columns: Sequence[Column], run: GridRun) -> list[str]:
     group, about = run.of(cell), CELLS[cell].about
     is_named = about.split() == cell.split("-", 1)  # a vehicle: its name says it
-    return [cell, *(show(group) for _, show in columns), str(worst_of(group).number), "" if is_named else about]
+    what = "; ".join(part for part in ("" if is_named else about, _trouble(group)) if part)
+    return [cell, *(show(group) for _, show in columns), str(worst_of(group).number), what]
+
+
+def _fewest_and_most(run: GridRun) -> str:
+    """Flights of a cell, as text: a number, or the least and the largest."""
+    counts = sorted({len(run.of(cell)) for cell in run.cells})
+    return f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
 
 
 def _reasons(run: GridRun) -> list[str]:

@@ -44,7 +44,11 @@ uint64_t hal_now_us(void) {
     if ((TIFR5 & (1 << TOV5)) && low < 0x8000)
         high++;
     SREG = state;
-    return ((uint64_t)high << 16 | low) >> 1;
+    const union { /* the compiler shifts 64 bits by a loop */
+        uint32_t half[2];
+        uint64_t whole;
+    } now_us = {{high << 15 | low >> 1, high >> 17}};
+    return now_us.whole;
 }
 
 /* --- EEPROM */

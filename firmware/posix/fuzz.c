@@ -173,7 +173,9 @@ static void step(uint8_t how) {
     now_us += LATER_US[how & 7];
     if (board_weighs(&board, now_us))
         board_weigh(&board, now_us, reading.battery_v);
-    board_step(&board, now_us, board_measures(&board, now_us) ? &reading : NULL);
+    board_step(&board, now_us);
+    if (board_measures(&board, now_us))
+        board_measure(&board, now_us, &reading);
     look();
     work();
 }

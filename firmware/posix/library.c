@@ -101,7 +101,9 @@ void library_step(struct board *board, uint64_t now_us, const struct reading *re
     finish(board, now_us); /* what has begun and not ended may be overdue */
     if (reading != NULL && board_weighs(board, now_us))
         board_weigh(board, now_us, reading->battery_v);
-    board_step(board, now_us, reading);
+    board_step(board, now_us);
+    if (reading != NULL)
+        board_measure(board, now_us, reading);
     finish(board, now_us);
 }
 

@@ -19,6 +19,7 @@ from groundstation.analysis.series import HOPS, Flight, Mask, RobotSeries, Serie
 from groundstation.analysis.timeline import STOOD_STILL, once
 from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import DecodedMessage, RunLog
+from groundstation.logs.session_clocks import is_old_line
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Circle, PathSpec
 from shoal.errors import ConfigError
@@ -47,7 +48,6 @@ FRESH_S = 2.0  # a clock that begins anew there and is below this has been start
 TURNED_S = 1.0  # a flight that is on its way home so soon was nothing else
 HOMEWARD = "RETURNING"  # the mission's state in the station's heartbeat (groundstation/mission/state_machine.py)
 SPARE_S = 3600.0  # a flight may take twice its duration and this: longer is a clock that leaps, and would fill the memory
-EARLIER_NS = 1_000_000_000  # that a line of the log may be older than the log
 PERIODS_S = (0.001, 10.0)  # of a trajectory's samples; the agent takes up to 1 s
 
 
@@ -462,10 +462,10 @@ def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> t
                 text = now[0] + (f": {now[1]}" if now[1] else "")
                 events.append(TimelineEvent((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
             before = now
-    begun_ns = min((e.arrived_ns for entries in log.entries.values() for e in entries), default=0) - EARLIER_NS
+    begun_ns = min((e.arrived_ns for entries in log.entries.values() for e in entries), default=0)
     for event in log.of(topics.EVENT, Event):
         m = event.message
-        if event.stamp_ns < begun_ns:  # of an earlier run: its sender goes on, and has kept it
+        if event.stamp_ns < begun_ns and is_old_line(event.stamp_ns, event.arrived_ns):  # of an earlier run
             continue
         events.append(TimelineEvent((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
     senders: dict[str, Sequence[DecodedMessage[Any]]] = {f"robot {robot}": r.states for robot, r in recorded.items()}

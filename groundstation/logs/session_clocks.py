@@ -12,6 +12,7 @@ from shoal.messages.messages import LocalizerStatus, RobotState
 from shoal.messages.topics import Qos, Topic
 
 ALIKE_NS = 20_000_000  # clocks that are nearer are one, and stamps stay as they are: a busy recorder is late by less
+OLD_LINE_NS = 1_000_000_000  # a line of a log that comes later than this was kept by its sender: no network is so slow
 WINDOW_NS = 10_000_000_000  # in which the quickest counts: clocks drift by at most 2 ms meanwhile
 
 
@@ -26,6 +27,12 @@ def held_ns(topic: Topic, message: object) -> int | None:
     if isinstance(message, LocalizerStatus):
         return round(message.frame_age_ms * 1e6)
     return None if topic.qos is Qos.IMAGE or topic.type in (*_UNKNOWN, RobotState, LocalizerStatus) else 0
+
+
+def is_old_line(written_ns: int, arrived_ns: int) -> bool:
+    """True for a line of a log that its sender has kept: a program that outlives the station, or was out of radio, gives the
+    lines of before to whoever it hears next. Both instants are of one clock."""
+    return arrived_ns - written_ns > OLD_LINE_NS
 
 
 class SessionClocks:

@@ -45,7 +45,7 @@ from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
-from shoal.config.experiment import Experiment, with_flight
+from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.messages import Command, CommandKind, Mode, RobotState
@@ -172,7 +172,8 @@ class Mission:
     ) -> str:
         """Take up a request; `via`: places of a GO, `text`: form of a FORMATION, experiment of a PATH. Returns the reason of a
         refusal; empty when it is under way."""
-        reason = rejection_reason(order, self.state) or self.objection(order, fleet, via, text)
+        context = self.request_context(order, fleet, via, text)
+        reason = rejection_reason(order, self.state) or objection(order, context)
         if reason:
             return reason
         self._give_up_s = None  # a person attends
@@ -185,10 +186,10 @@ class Mission:
         at_rest = before in AT_REST and order in OTHER_FLIGHTS
         if order is not CommandKind.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
             self._needs_operator = order in (CommandKind.HOLD, CommandKind.CLEAR_STOP) or at_rest
-        self._prepare(order, fleet, text)
+        self._prepare(order, context)
         self._go(order, now_ns)
         if at_rest:
-            flown = with_flight(self._experiment, text) if order is CommandKind.PATH else None
+            flown = context.other_flight if order is CommandKind.PATH else None
             self.plans.request_at_rest(fleet, flown, text)
         if order is CommandKind.DISARM and before in TERMINAL | {MissionState.ENDING}:
             self.reason = why
@@ -206,8 +207,9 @@ class Mission:
                 self.plans.request_form(text, fleet, now_ns)
         return ""
 
-    def _prepare(self, order: CommandKind, fleet: Fleet, text: str) -> None:
+    def _prepare(self, order: CommandKind, context: RequestContext) -> None:
         """Set roster and plans for a request, before the state changes."""
+        fleet = context.fleet
         if order is CommandKind.RETURN:
             self._prepare_return(fleet)
         if order is CommandKind.REJOIN:
@@ -219,9 +221,9 @@ class Mission:
         if order in OTHER_FLIGHTS and self.state in AT_REST:
             self.plans.reset()  # it begins another run, with all robots
         elif order is CommandKind.FORMATION and self.state is MissionState.PAUSED:
-            self.plans.target_form(text)
+            self.plans.target_form(context.text)
         elif order is CommandKind.PATH:
-            self.plans.target_flight(with_flight(self._experiment, text))
+            self.plans.target_flight(context.other_flight)
             self._run.homeward = False
         if order in (CommandKind.RETURN, CommandKind.REJOIN, *OTHER_FLIGHTS):
             self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
@@ -254,11 +256,16 @@ class Mission:
 
     def objection(self, order: CommandKind, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
-        # Takes in robots that the last run had lost.
+        return objection(order, self.request_context(order, fleet, via, text))
+
+    def request_context(
+        self, order: CommandKind, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = ""
+    ) -> RequestContext:
+        """State of mission and fleet that a request is judged by. From rest, it takes in robots that the last run had lost."""
         from_rest = order in (CommandKind.RETURN, *OTHER_FLIGHTS) and self.state in AT_REST
         roster = Roster(self._experiment.robot_ids, self.segment, self.roster.out) if from_rest else self.roster
-        context = replace(self._context(fleet, roster, via), text=text)
-        return objection(order, replace(context, transfer=self.segment.is_separate(self.plans.progress_s)))
+        transfer = self.segment.is_separate(self.plans.progress_s)
+        return replace(self._context(fleet, roster, via), text=text, transfer=transfer)
 
     def _context(self, fleet: Fleet, roster: Roster | None = None, via: Sequence[tuple[float, float]] = ()) -> RequestContext:
         planning = self.state in AT_REST and self.plans.request is not None

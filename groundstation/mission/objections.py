@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from groundstation.mission.roster import TAKEN_OUT, Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
@@ -35,6 +36,11 @@ class RequestContext:
     text: str = ""  # of a FORMATION the form, of a PATH the experiment
     planning: bool = False  # a plan for robots at rest is being made
     transfer: bool = False  # robots fly separate transfers now
+
+    @cached_property
+    def other_flight(self) -> Experiment:
+        """The session's experiment with the flight that a PATH asks for; read once. Raises ConfigError."""
+        return with_flight(self.experiment, self.text)
 
 
 def objection(order: CommandKind, context: RequestContext) -> str:
@@ -141,7 +147,7 @@ def _no_form(context: RequestContext) -> str:
 
 def _no_flight(context: RequestContext) -> str:
     try:
-        with_flight(context.experiment, context.text)
+        context.other_flight  # noqa: B018  # reads the text
     except ConfigError as error:
         return str(error)
     return ""

@@ -1,8 +1,8 @@
 """Progress of the operator's requests, robot by robot, until each is done or has failed. Pure.
 
 A request is done when the mission is in a state that it leads to (GOALS) and every robot concerned has confirmed. It has
-failed when the mission went elsewhere, or when another request took its place. The page and the terminal's commands show the
-same outcomes.
+failed when the mission went elsewhere, or when another request took its place before that. The page and the terminal's
+commands show the same outcomes.
 """
 
 from collections.abc import Callable, Sequence
@@ -150,6 +150,7 @@ class RequestTracker:
         self._count = 0
         self._open: list[_Request] = []
         self._outcomes: list[Outcome] = []
+        self._ended: list[int] = []  # numbers of requests that have ended since `follow` returned them
         self.recent: tuple[Outcome, ...] = ()  # oldest first; replaced, never changed: other threads read it
 
     def begin(self, order: CommandKind, mission: Mission, tuning_id: str = "") -> int:
@@ -159,7 +160,7 @@ class RequestTracker:
         for request in [r for r in self._open if r.task is None and (r.order in TUNING) is gains]:
             if request.order is order and order not in (CommandKind.GO, *OTHER_FLIGHTS, CommandKind.TUNE):
                 return request.number
-            self._open.remove(request)
+self._close(request)
             self._record(request, mission, Progress.FAILED, f"{command_name(order)} was asked for instead")
         return self._open_one(order, mission, tuning_id=tuning_id)
 
@@ -206,23 +207,40 @@ class RequestTracker:
     def follow(
         self, mission: Mission, fleet: Fleet, tuning: GainStatus, results: Sequence[CommandResult]
     ) -> tuple[Outcome, ...]:
-        """Update all outcomes; called once a cycle, after the mission's step. Returns those that have ended in it."""
-        ended = []
+        """Update all outcomes; called once a cycle, after the mission's step. Returns those that have ended since the last
+        call."""
         for request in tuple(self._open):
             _take_refusals(request, results)
-            if request.task is not None:
-                task, waits = request.task, request.task.progress is not Progress.DONE
-                progress, reason, waiting = task.progress, task.reason if waits else "", [request.only] if waits else []
-            elif request.order in TUNING:
-                progress, reason, waiting = self._gain_progress(request, mission, fleet, tuning)
-            else:
-                progress, reason, waiting = self._mission_progress(request, mission, fleet)
+            progress, reason, waiting = self._progress(request, mission, fleet, tuning)
             if progress is not Progress.UNDER_WAY:
-                self._open.remove(request)
-                ended.append(request.number)
+                self._close(request)
             why = {robot: _reason(fleet[robot], request.refusals.get(robot, "")) for robot in waiting}
             self._record(request, mission, progress, reason, why, self._concerned(request, mission, fleet))
+        ended, self._ended = self._ended, []
         return tuple(outcome for outcome in self.recent if outcome.request in ended)
+
+    def settle(self, mission: Mission, fleet: Fleet, tuning: GainStatus) -> None:
+        """Record the requests whose aim is reached as done, before another one takes their place. The aim of END is not: the
+        next cycle would end the run, and another request goes on with it."""
+        for request in [r for r in self._open if r.order is not CommandKind.END]:
+            if self._progress(request, mission, fleet, tuning)[0] is Progress.DONE:
+                self._close(request)
+                self._record(request, mission, Progress.DONE, concerned=self._concerned(request, mission, fleet))
+
+    def _close(self, request: _Request) -> None:
+        self._open.remove(request)
+        self._ended.append(request.number)
+
+    def _progress(
+        self, request: _Request, mission: Mission, fleet: Fleet, tuning: GainStatus
+    ) -> tuple[Progress, str, list[int]]:
+        """Progress of a request, its reason, and the robots that it waits for."""
+        if request.task is not None:
+            task, waits = request.task, request.task.progress is not Progress.DONE
+            return task.progress, task.reason if waits else "", [request.only] if waits else []
+        if request.order in TUNING:
+            return self._gain_progress(request, mission, fleet, tuning)
+        return self._mission_progress(request, mission, fleet)
 
     def _concerned(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[int, ...]:
         if request.only:

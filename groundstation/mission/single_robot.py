@@ -239,11 +239,30 @@ class SingleRobotControl:
             if task is None:
                 continue
             goes_on = GOES_ON | DISARMING if task.order is CommandKind.DISARM else GOES_ON
-            if self._mission.state not in goes_on or robot not in self.led:
+            if self._is_reached(robot, task, fleet, now_ns):
+                self._end(robot)
+            elif self._mission.state not in goes_on or robot not in self.led:
                 self._end(robot, f"the mission is {self._mission.state.value}")
             else:
                 commands += self._advance(robot, task, fleet[robot], fleet, now_ns)
         return tuple(commands)
+
+    def settle(self, fleet: Fleet, now_ns: int) -> None:
+        """End the tasks whose aim is reached, before another request takes the robots."""
+        for robot in self.led:
+            if self._is_reached(robot, self.tasks[robot], fleet, now_ns):
+                self._end(robot)
+
+    def _is_reached(self, robot: int, task: RobotTask, fleet: Fleet, now_ns: int) -> bool:
+        """True if a robot has done its task, by a state that it has sent since the task's present stage began."""
+        view = fleet[robot]
+        if task.order is CommandKind.GO:
+            holds = task.started and view.heard and view.mode is Mode.HOLDING
+            return holds and self._has_flown(task, view) and not self._not_there(robot, task, fleet)
+        if task.order is CommandKind.DRIVE and task.velocity is not None:
+            return False
+        order = CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order
+        return view.state_age_s * 1e9 < now_ns - task.since_ns and view.mode in CONFIRMS[order]  # however late it came
 
     def _advance(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""
@@ -257,11 +276,7 @@ class SingleRobotControl:
             return ()
         if task.order is CommandKind.GO:
             return self._go(robot, task, view, fleet, now_ns)
-        order = CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order
-        if view.state_age_s * 1e9 < now_ns - task.since_ns and view.mode in CONFIRMS[order]:  # however late it came
-            self._end(robot)
-            return ()
-        return self._send(order, robot, None, now_ns)
+        return self._send(CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order, robot, None, now_ns)
 
     def _drive(
         self, robot: int, task: RobotTask, velocity: DriveVelocity, view: RobotView, now_ns: int
@@ -292,10 +307,10 @@ class SingleRobotControl:
             elif rests:  # a plan is made, its own or another robot's: that takes as long as the station lets it
                 task.since_ns = now_ns
             return ()
-        trajectory, flown = transfer.trajectories[robot], state.trajectory_s >= transfer.end_s - SETTLE_S
+        trajectory, flown = transfer.trajectories[robot], self._has_flown(task, view)
         if view.mode is Mode.HOLDING and task.started:
             on_the_way = f"robot {robot} holds: {state.fault or 'on the way'}"
-            self._end(robot, self._not_there(robot, task, view) if flown else on_the_way)
+            self._end(robot, self._not_there(robot, task, fleet) if flown else on_the_way)
             return ()
         if view.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
             task.started = True  # at the path's end a robot that lags has SETTLE_S to come up
@@ -308,11 +323,18 @@ class SingleRobotControl:
             self._dispatchers[robot].reset()
         return self._send(CommandKind.START, robot, trajectory, now_ns, task.timetable)
 
-    def _not_there(self, robot: int, task: RobotTask, view: RobotView) -> str:
-        """Distance from a GO's place of a robot that may have lagged, or had something in its way; empty if it is there."""
+    def _has_flown(self, task: RobotTask, view: RobotView) -> bool:
+        """True if a robot has come to the end of its transfer."""
+        ends_s = None if task.transfer is None else task.transfer.end_s - SETTLE_S
+        return view.state is not None and ends_s is not None and view.state.trajectory_s >= ends_s
+
+    def _not_there(self, robot: int, task: RobotTask, fleet: Fleet) -> str:
+        """Reason to say that a robot is not at the place of its GO: it may have lagged, or had something in its way, or its
+        poses are not its own. Empty if it is there."""
         assert task.place_m is not None
-        away_m = float(np.hypot(*(view.eta[:2] - task.place_m)))
-        return f"robot {robot} holds {away_m:.2f} m from there" if away_m > self._experiment.safety.off_path_m else ""
+        away_m = float(np.hypot(*(fleet[robot].eta[:2] - task.place_m)))
+        far = f"robot {robot} holds {away_m:.2f} m from there" if away_m > self._experiment.safety.off_path_m else ""
+        return foreign_poses(self._experiment, fleet, (robot,)) or far
 
     def _plan(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet) -> None:
         """Request a way to the task's place, clear of islands, obstacles and of where the other robots are now."""

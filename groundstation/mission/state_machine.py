@@ -273,7 +273,7 @@ FLEET_REQUESTS = tuple(
 
 def markdown() -> str:
     """Tables of states, requests and events in Markdown, for docs/reference/mission-states.md."""
-    lines = [f"* {state.name}: {state.value}" for state in MissionState]
+    lines = [f"* {state.name}: {state.value}" for state in MissionState if state.name.lower() not in state.value]
     lines += ["", "Groups of states in the tables:", ""]
     lines += [f"* *{name}*: {_in_groups(states, name)}" for name, states in GROUPS.items()]
     lines += ["", "| A person requests | in the states | leads to |", "| --- | --- | --- |"]

@@ -18,7 +18,7 @@ from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import ATTENDED, Mission
-from groundstation.mission.objections import LIVE
+from groundstation.mission.objections import LIVE, objection
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.state_machine import READY, MissionState, in_words, rejection_reason
@@ -31,7 +31,7 @@ from groundstation.web.backend import Status
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import PATIENT_MS
-from shoal.config.experiment import Experiment, with_flight
+from shoal.config.experiment import Experiment
 from shoal.config.fault_injection import read_request
 from shoal.messages import topics
 from shoal.messages.codec import Header
@@ -310,11 +310,12 @@ class Station:
         reason for which it cannot be."""
         with self.lock:
             mission = self.mission
-            reason = rejection_reason(order, mission.state) or mission.objection(order, self.views, text=text)
+            context = mission.request_context(order, self.views, text=text)
+            reason = rejection_reason(order, mission.state) or objection(order, context)
             make = mission.plans.draft_form(text, self.views, self.clock.now_ns(), mission.state)
         if reason:
             raise PlanError(reason)
-        return first_segment(with_flight(self.experiment, text)) if order is CommandKind.PATH else make()
+        return first_segment(context.other_flight) if order is CommandKind.PATH else make()
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -112,13 +113,19 @@ def loadable(robots: tuple[int, ...]) -> list[str]:
     return [name for name, ids in _experiments_with_robots() if sorted(ids) == sorted(robots)]
 
 
-def _experiments_with_robots() -> Iterator[tuple[str, list[Any]]]:
+def _experiments_with_robots() -> Iterator[tuple[str, tuple[Any, ...]]]:
     files = {path.stem: path for path in sorted(EXPERIMENTS.glob("*.toml"))}
     files |= {str(path): path for path in sorted(EDITED.glob("*.toml"))}
     for name, path in files.items():
-        with contextlib.suppress(ConfigError):
-            robots = read_toml(path).get("robots")
-            yield name, [robot.get("id") for robot in robots if isinstance(robot, dict)] if isinstance(robots, list) else []
+        with contextlib.suppress(ConfigError, OSError):
+            yield name, _robots_of(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _robots_of(path: Path, changed_ns: int) -> tuple[Any, ...]:
+    """Ids of the robots in an experiment's file, which is read again when its time stamp `changed_ns` is another."""
+    robots = read_toml(path).get("robots")
+    return tuple(robot.get("id") for robot in robots if isinstance(robot, dict)) if isinstance(robots, list) else ()
 
 
 def flight_text(experiment: Experiment, order: CommandKind, text: str, edit: Edit | None = None) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.fleet_time import PaceMeter
+from groundstation.logs.session_clocks import is_old_line
 from groundstation.mission.state_machine import READY, MissionState, order_name, states_allowing
 from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
@@ -37,7 +38,6 @@ from shoal.runtime.runtime import Clock, log
 
 MOST_EVENTS = 256  # between two looks
 SETTLE_NS = 1_000_000_000  # after the start: within it every robot has told its state
-OLD_LINE_NS = 1_000_000_000  # older when it comes than a slow network makes it
 KEPT_EVENTS = 500  # for a page that connects later: as many as it shows
 PAST_S = 600.0  # kept for pages that connect later
 PAST_EVERY_S = 0.5  # a row of the past, in fleets of up to three
@@ -208,7 +208,7 @@ class LiveBackend:
             state = inbox.newest()
             if state is not None and state.header.session == header.session:
                 written_ns = self._clock.instant_ns(state) + header.stamp_ns - state.header.stamp_ns
-                return written_ns if arrived_ns - written_ns > OLD_LINE_NS else arrived_ns
+                return written_ns if is_old_line(written_ns, arrived_ns) else arrived_ns
         return arrived_ns
 
     def remark(self, text: str) -> None:

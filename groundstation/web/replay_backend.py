@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundstation.formation_clock import FormationPlans
+from groundstation.logs import session_clocks
 from groundstation.logs.reader import open_log
-from groundstation.logs.session_clocks import held_ns as held_ns_of
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
@@ -59,6 +59,7 @@ class LogBlock:
 
     messages: dict[tuple[str, int], Arrivals] = field(default_factory=dict)
     ahead_ns: dict[int, int] = field(default_factory=dict)
+    robots: set[int] = field(default_factory=set)  # sessions of robots: they stamp all by one clock
 
 
 class LogPlayer:
@@ -137,10 +138,12 @@ class LogPlayer:
                 payloads.append(line.payload)
                 headers.append(line.header)
                 says = line.topic.type in (RobotState, LocalizerStatus) and line.arrived_ns != line.header.stamp_ns
-                held_ns = held_ns_of(line.topic, _read(line.topic.type, line.payload)) if says else None
+                held_ns = session_clocks.held_ns(line.topic, _read(line.topic.type, line.payload)) if says else None
                 if held_ns is not None:
                     session, ahead_ns = line.header.session, arrivals[-1] - line.header.stamp_ns - held_ns
                     block.ahead_ns[session] = min(block.ahead_ns.get(session, ahead_ns), ahead_ns)
+                    if line.topic is topics.STATE:
+                        block.robots.add(session)
             self._blocks[index] = block
         self._blocks.move_to_end(index)
         while len(self._blocks) > KEPT_BLOCKS:
@@ -162,14 +165,30 @@ class LogPlayer:
     def _instant_ns(self, header: Header, arrived_ns: int, index: int) -> int:
         """The instant that a message is about, on the recorder's clock: its stamp, carried over by what came quickest of its
         session in the last blocks. In lockstep, and of a session that tells no ages, the arrival."""
-        blocks = range(index, max(index - LINK_BLOCKS, -1), -1)
-        ahead_ns = [self._block(k).ahead_ns.get(header.session) for k in blocks]
-        leads_ns = [ns for ns in ahead_ns if ns is not None]
+        leads_ns = [block.ahead_ns[header.session] for block in self._before(index) if header.session in block.ahead_ns]
         return min(header.stamp_ns + min(leads_ns), arrived_ns) if leads_ns else arrived_ns
 
+    def _before(self, index: int) -> Iterator[LogBlock]:
+        """A block, and those before it by which clocks are compared."""
+        return map(self._block, range(index, max(index - LINK_BLOCKS, -1), -1))
+
     def events(self) -> list[dict[str, Any]]:
-        """Lines of the run's log, for the page."""
-        return [event_note(event, at_ns) for _, at_ns, event in self._each(topics.EVENT, Event)]
+        """Lines of the run's log, for the page: a line that its robot has kept from before at its own time."""
+        notes, leads_ns = list[dict[str, Any]](), dict[int, int]()  # by session of a robot: how much it is ahead
+        for line in self._log.messages(lambda topic, _: topic is topics.EVENT):
+            event = _read(Event, line.payload)
+            if event is None:
+                continue
+            session, arrived_ns = line.header.session, line.arrived_ns - self.start_ns
+            index = arrived_ns // BLOCK_NS + 1  # lines that were kept come with the robot's first state
+            if session not in leads_ns:
+                near_ns = [block.ahead_ns[session] for block in self._before(index) if session in block.robots]
+                leads_ns |= {session: min(near_ns)} if near_ns else {}
+            written_ns = line.header.stamp_ns + leads_ns.get(session, arrived_ns - line.header.stamp_ns)
+            if session_clocks.is_old_line(written_ns, arrived_ns):  # or the clock was set meanwhile
+                written_ns = self._instant_ns(line.header, arrived_ns, index)
+            notes.append(event_note(event, written_ns if session_clocks.is_old_line(written_ns, arrived_ns) else arrived_ns))
+        return notes
 
     def past(self) -> list[dict[str, Any]]:
         """Rows of the whole run, evenly spaced."""

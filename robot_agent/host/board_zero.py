@@ -76,6 +76,12 @@ def boot_time_s() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
+def confirmed(telemetry: Telemetry) -> ZeroRecord:
+    """Record of a board whose zero a person has confirmed: its depths are counted from the surface."""
+    now_s = boot_time_s()
+    return ZeroRecord(boot_id(), now_s, now_s - 1e-3 * telemetry.board_ms, 0.0, telemetry.depth_m)
+
+
 class BoardZero:
     """The file of one robot's program, and what it says about the board that is heard."""
 

@@ -9,12 +9,13 @@ when, by a clock that nobody sets. A robot's computer often has no other clock a
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from robot_agent.host.board_zero import boot_id, boot_time_s
 from robot_agent.host.config import AgentConfig, open_board_link
 from shoal.errors import ConfigError
-from shoal.mavlink.agent_link import ACCEPTED, CALIBRATE, UNSUPPORTED, AgentLink
+from shoal.mavlink.agent_link import ACCEPTED, CALIBRATE, UNSUPPORTED, AgentLink, Telemetry
 from shoal.mavlink.signing_key import agent_end
 from shoal.runtime.output_files import replace_text
 from shoal.system.regular_files import read_regular
@@ -92,26 +93,33 @@ def ask_program(folder: Path, in_air: bool) -> bool:
             path.unlink()
 
 
-def tell_board(config: AgentConfig, in_air: bool) -> bool:
-    """Send the request over the link. False for a board that knows no such command. Raises ConfigError if it refuses."""
+def tell_board(config: AgentConfig, in_air: bool) -> Telemetry:
+    """Send the request over the link. Returns what the board reports since it has answered; it has answered UNSUPPORTED if it
+    knows no such command, and `board_ms` is -1 if no depth came. Raises ConfigError if the board refuses."""
     wires, signing = open_board_link(config)
     mavlink = agent_end(config.robot, signing)
+    answered_ms: int | None = None  # time of the burst before the answer, on the board's clock
     try:
         end_s, told_s = time.monotonic() + WITHIN_S + wires.first_word_s, 0.0
         while time.monotonic() < end_s:
             if time.monotonic() - told_s > LOOK_S:
                 told_s = time.monotonic()
                 wires.send(mavlink.heartbeat())
-                if mavlink.telemetry.is_thruster_board:
+                if mavlink.telemetry.is_thruster_board and answered_ms is None:
                     wires.send(mavlink.calibrate(pressure=in_air))
             wires.wait(0.05)
             mavlink.receive(wires.read(), time.monotonic_ns())
-            answer = mavlink.telemetry.acknowledged
+            telemetry = mavlink.telemetry
+            answer = telemetry.acknowledged
+            if answered_ms is not None and telemetry.board_ms != answered_ms:
+                return telemetry
             if answer in ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED)):
-                return answer[1] == ACCEPTED
-            if answer is not None and answer[0] == CALIBRATE:
-                answer_text = mavlink.telemetry.texts[-1][1] if mavlink.telemetry.texts else f"MAV_RESULT {answer[1]}"
+                answered_ms = telemetry.board_ms
+            elif answer is not None and answer[0] == CALIBRATE:
+                answer_text = telemetry.texts[-1][1] if telemetry.texts else f"MAV_RESULT {answer[1]}"
                 raise ConfigError(f"{config.link}: the board refuses: {answer_text}")
+        if answered_ms is not None:
+            return replace(mavlink.telemetry, board_ms=-1)
         raise ConfigError(f"{config.link}: {wires.trouble or 'the board does not answer'}")
     finally:
         wires.close()

@@ -64,7 +64,7 @@ class _Bench:
             time.sleep(self._period_s)
             self._mavlink.receive(self._link.read(), time.monotonic_ns())
             echoes.append(self._mavlink.telemetry.echo_us)
-            if arm is not None and self.armed == arm:
+            if arm is not None and self.armed == arm and not self._mavlink.telemetry.arm_open:
                 break
         return echoes
 

@@ -43,8 +43,7 @@ class FeedbackLawConfig(Section):
 
 
 class BacksteppingConfig(FeedbackLawConfig):
-    """Decay rates of the errors and of the velocity errors, and the weight of the first in the Lyapunov function, in which the
-    second has weight one."""
+    """Backstepping of position and velocity errors."""
 
     guidance_per_s2: NotNegative = 0.155
     error_per_s: Gains = (0.0576, 0.889, 3.87)
@@ -52,7 +51,7 @@ class BacksteppingConfig(FeedbackLawConfig):
     velocity_per_s: Gains = (2.28, 0.394, 1.71)
     """Decay rate of the velocity errors."""
     coupling_per_s2: Gains = (0.645, 0.0355, 4.71)
-    """Weight of the errors in the Lyapunov function, in which the velocity errors have weight 1."""
+    """Weight of the errors in the Lyapunov function; the velocity errors have 1."""
 
 
 class PidConfig(FeedbackLawConfig):
@@ -86,30 +85,29 @@ class SlidingModeConfig(FeedbackLawConfig):
     reach: Gains = (0.16, 0.0673, 0.872)
     """Strength of the switching term, m/s^2 and rad/s^2."""
     layer: Scales = (0.149, 0.0316, 0.071)
-    """Boundary layer, m/s and rad/s: within it the switching term is linear, so that it does not chatter."""
+    """Boundary layer, m/s and rad/s."""
 
 
 class FuzzyConfig(FeedbackLawConfig):
-    """Errors and velocity errors that count as "big", and what the rules' verdict (-1 to 1) does, as a share of the limit: at
-    once, and per second."""
+    """Rules on five sets of errors and velocity errors."""
 
     guidance_per_s2: NotNegative = 0.0935
     error: Scales = (0.981, 0.622, 0.324)
-    """Error that counts as big, m and rad."""
+    """Error that is big, m and rad."""
     velocity: Scales = (0.308, 0.495, 0.616)
-    """Velocity error that counts as big, m/s and rad/s."""
+    """Velocity error that is big, m/s and rad/s."""
     proportional: Gains = (0.635, 3.69, 0.341)
     """Effect of the rules' output (-1 to 1) at once, as a share of the limit."""
     integral: Gains = (0.894, 1.66, 0.667)
-    """Effect of the rules' output per second, as a share of the limit."""
+    """The same per second."""
 
 
 class AdaptiveNnConfig(FeedbackLawConfig):
-    """s = velocity error + slope error; wrench = gain s + network. The network learns `learning` N per m/s of s and second."""
+    """s = velocity error + slope error; wrench = gain s + network."""
 
     slope_per_s: Gains = (0.685, 0.953, 5.91)
-    """Slope of s = velocity error + slope error."""
+    """Slope in s."""
     gain: Gains = (27.7, 40.0, 0.128)
     """Gain of s, N per m/s and N m per rad/s."""
     learning: Gains = (15.5, 43.4, 1.89)
-    """Rate at which the network learns, N per m/s of s and second."""
+    """Rate of learning, N per m/s of s and second."""

@@ -40,34 +40,31 @@ class Safety(Section):
     radius_m: Positive = 0.30
     """R of equation (36): centres of robots stay two of these apart. Not less than the vehicle's radius."""
     margin_m: NotNegative = 0.05
-    """Distance beyond the least one at which robots, obstacles and walls enter the optimisation as half-spaces."""
+    """Distance beyond the least one at which robots, obstacles and walls enter the optimisation."""
     bubble_mps: NotNegative = 0.1
     """Rate at which the space around a silent neighbour grows."""
     bubble_max_m: NotNegative = 0.5
-    """Largest growth of that space: a robot that is gone must not push the others against the walls. After a minute of silence
-    the growth is gone again."""
+    """Largest growth of that space. After a minute of silence the growth is gone again."""
     pose_hold_s: Positive = 0.19
-    """Age of the last pose at which a robot holds. Its reaction comes within 0.2 s, one control step included."""
+    """Age of the last pose at which a robot holds: within 0.2 s, one control step included."""
     pose_neutral_s: Annotated[float, Field(gt=0, lt=COAST_S)] = 0.45
-    """Age of the last pose at which thrusters go to neutral, before the estimate ends."""
+    """Age of the last pose at which thrusters go to neutral."""
     station_hold_s: Positive = 1.0
     """Age of the station's last heartbeat at which a robot holds."""
     station_neutral_s: Positive = 3.0
     """Age of the station's last heartbeat at which thrusters go to neutral."""
     station_disarm_s: Annotated[float, Field(gt=0, le=60)] = 10.0
-    """Age of the station's last heartbeat at which a robot disarms, so that a forgotten board does not stay armed."""
+    """Age of the station's last heartbeat at which a robot disarms."""
     plan_max_age_s: Annotated[float, Field(gt=0, le=5)] = 0.5
-    """Age at which a neighbour's plan no longer counts; at most the time that a plan reaches ahead."""
+    """Age up to which a neighbour's plan is used; at most the time that a plan reaches ahead."""
     watch_thrusters: bool = True
     """Go to neutral when the gyroscope does not measure what the thrusters were commanded."""
     off_path_m: Positive = 0.3
-    """Distance from its path at which a robot goes to neutral, after 0.5 s with nothing in the way. In still water 0.1 is
-    enough."""
+    """Distance from its path at which a robot goes to neutral, after 0.5 s with nothing in the way. In still water: 0.1."""
     off_depth_m: Positive = 0.15
-    """The same for depth, whose errors are millimetres: a dead thruster or ankle shows here first."""
+    """The same for depth: a dead thruster or ankle shows here first."""
     join_within_m: Positive = 1.0
-    """A robot refuses to begin or to go on along its path when it is farther away than this plus the way from its planned
-    start to the path's first pose."""
+    """A robot refuses START and RESUME when it is farther from its path than this plus the way from its planned start."""
 
     @model_validator(mode="after")
     def _worse_comes_later(self) -> Self:
@@ -82,12 +79,11 @@ class Safety(Section):
 
 
 class EstimatorConfig(Section):
-    """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003). The sensing delay is compensated,
-    so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
+    """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003). At 2 rad/s a pose noise of 1.5 mm
+    makes 2 mm/s in velocity."""
 
     kind: Literal["eso", "kalman"] = "kalman"
-    """Observer: the article's, or Kalman filters that know a current from a force (docs/control.md). Not given: `eso` for
-    `eso-mpc-article`, else `kalman`."""
+    """The article's observer, or Kalman filters (docs/control.md). Not given: `eso` for `eso-mpc-article`, else `kalman`."""
     enabled: bool = True
     """Estimate the disturbance. False: the estimate is zero."""
     bandwidth_radps: Bandwidth = 2.0
@@ -104,8 +100,8 @@ MOST_STEPS = 200  # of a horizon
 
 
 class MpcConfig(Section):
-    """Reach of plans and trajectories, and the article's linear model predictive control (35-40). What is not given is the
-    article's under `eso-mpc-article`: horizon 25, blocks of fifteen ones, r = 0.01."""
+    """Reach of plans and trajectories, and the article's MPC (35-40). Defaults under `eso-mpc-article`: horizon 25, blocks of
+    fifteen ones, r = 0.01."""
 
     horizon: Annotated[int, Field(ge=2, le=MOST_STEPS)] = 50
     """Prediction steps of controller.period_s. Not given: as many as reach 2.5 s ahead, 200 at most."""
@@ -120,8 +116,7 @@ class MpcConfig(Section):
     """Weight of squared input changes in surge, heave (per N^2) and yaw (per (N m)^2). With 0.01 for all, yaw chatters at
     its rate limit."""
     slack: Positive = 1e4
-    """Penalty of entering another robot's space, per unit of the largest position weight above 1: no weight buys a way
-    through another robot."""
+    """Penalty of entering another robot's space, per unit of the largest position weight above 1."""
 
     @model_validator(mode="after")
     def _blocks_fit(self) -> Self:
@@ -134,26 +129,24 @@ class NonlinearMpcConfig(Section):
     """Nonlinear MPC. All other weights follow from vehicle, control period and noise."""
 
     heading_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.01
-    """Error of the place that counts like 1 rad away from the direction of motion through the water."""
+    """Error of the place that weighs like 1 rad from the direction of motion through the water."""
     arm_m: Annotated[float, Field(gt=0, le=1), LIVE] = 0.2
-    """Error of the place that counts like 1 rad of a heading that a person steers; it also sets the smoothness of the yaw
-    moment."""
+    """Error of the place that weighs like 1 rad of heading when a person steers. Also sets how smooth the yaw moment is."""
     turning_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.01
-    """Error of the place that counts like turning at 1 rad/s, on a path."""
+    """Error of the place that weighs like turning at 1 rad/s, on a path."""
     hold_turning_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.05
     """The same on HOLD. With 0.01 the heading wanders by 0.29 rad/s, with 0.15 the place by 2 cm."""
 
 
 class ControllerConfig(Section):
-    """The control loop of a robot, which runs 1/period_s times a second. `law` computes the wrench from estimate and
-    reference."""
+    """The control loop of a robot."""
 
     period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05
-    """Control period. At most half of the age at which a board disarms, so that one step may be lost."""
+    """Control period, at most half of the age at which a board disarms."""
     law: Law = "nmpc"
     """Control law: the nonlinear MPC, one that it is compared with, or MODULE:NAME of your own (docs/baselines.md)."""
     own: Annotated[tuple[float, ...], Field(max_length=100, examples=[[0.3, 0.2]])] = ()
-    """Numbers for a law of your own, in the order that it wants."""
+    """Numbers for a law of your own."""
     estimator: EstimatorConfig = EstimatorConfig()
     """Extended state observer."""
     mpc: MpcConfig = MpcConfig()

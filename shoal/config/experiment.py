@@ -52,7 +52,7 @@ class ArticleRow(Section):
 
 
 class Limit(Section):
-    """Largest values for a run that passes; checked against the plant's truth after the run."""
+    """Largest values for a run that passes, against the plant's truth."""
 
     rms_m: Annotated[Positive | None, Field(examples=[0.1])] = None
     """RMS tracking error per axis, whole run."""
@@ -63,11 +63,11 @@ class Limit(Section):
     max_after_20s_m: Positive | None = None
     """Largest tracking error per axis after 20 s."""
     arrived_m: Positive | None = None
-    """Each robot's horizontal distance from its last reference at the end of the run."""
+    """Horizontal distance from the last reference at the end."""
     pose_rms_m: Positive | None = None
     """RMS error of the localizer's poses."""
     wrench_step_rms: Fraction | None = None
-    """RMS of the inputs' change per step after 20 s, as a fraction of its bound."""
+    """RMS of the inputs' change per step after 20 s, over its bound."""
     exposure_to_pwm_p99_ms: Positive | None = None
     """99th percentile of the time from exposure to thruster pulses."""
 
@@ -76,15 +76,15 @@ class Experiment(Section):
     """The whole file."""
 
     name: Name
-    """Name of the experiment. A run's folder has it in its name."""
+    """Name, also in those of its runs' folders."""
     title: str = ""
-    """Title, for people."""
+    """Title."""
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
     """Seed of everything random."""
     duration_s: Annotated[float, Field(gt=0, le=36000)]
     """Time to fly."""
     vehicle: Vehicle
-    """A shipped vehicle, a path ending in .toml, or a table (vehicle.md)."""
+    """A shipped vehicle, a file ending in .toml, or a table (vehicle.md)."""
     pool: PoolConfig
     """Pool."""
     path: PathSpec

@@ -9,16 +9,14 @@ from shoal.config.vehicle import NotNegative, Positive
 
 
 class MissionConfig(Section):
-    """The experiment's `[mission]`."""
+    """How the station leads a mission (docs/missions.md)."""
 
     lost: Literal["abort", "hold", "go-on", "close-up"] = "abort"
-    """Reaction to a lost robot: all disarm; hold; go on without it; or close the gap by taking the nodes of the file's
-    first robots."""
+    """The others' reaction to a lost robot: disarm; hold; go on; or take the nodes of the file's first robots."""
     detours: bool = True
-    """Lead the formation around obstacles that the localizer sees on its path (paths of waypoints and routes)."""
+    """Lead the formation around obstacles on its path (of waypoints, or a route)."""
     blind: Literal["warn", "hold"] = "hold"
-    """While obstacles cannot be detected: `hold` lets no robot start, and robots that fly hold; `warn` only raises an
-    alarm."""
+    """While obstacles cannot be detected: no robot starts, and those that fly hold; or only an alarm."""
     detour_clear_m: NotNegative = 0.25
     """Distance of a detour from obstacles, beyond safety.radius_m. Robots give way by themselves at 0.15."""
     wait_from_m: Annotated[Positive | None, Field(examples=[0.2])] = None
@@ -32,7 +30,7 @@ class MissionConfig(Section):
     start_within_m: Positive = 0.5
     """Largest distance from its planned start at which a robot may be armed."""
     clock_offset_ms: Positive = 20.0
-    """Largest offset of a robot's clock from the station's. Above it, logs do not line up."""
+    """Largest offset of a robot's clock from the station's."""
     thruster_test: bool = False
     """Let a robot arm only after it has passed a thruster test."""
 

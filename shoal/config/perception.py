@@ -25,9 +25,9 @@ class Camera(Section):
     exposure_s: Annotated[float, Field(gt=0, le=0.05)]
     """Exposure time."""
     stamp_marks: Literal["start", "end"] = "end"
-    """The end of the exposure that the camera driver's time stamps mark."""
+    """The end of the exposure that the driver's stamps mark."""
     readout_s: Annotated[float, Field(ge=0, le=0.1)] = 0.0
-    """Time of a rolling shutter from the first row to the last; 0: a global shutter. Stamps are of the middle row."""
+    """Time of a rolling shutter from the first row to the last. Stamps are of the middle row."""
     focal_px: tuple[Positive, Positive]
     """Focal lengths along the picture's x and y."""
     centre_px: Vec2
@@ -41,9 +41,9 @@ class Camera(Section):
     water_index: Annotated[float, Field(ge=1, le=2)] = 1.333
     """Refractive index of the water."""
     masks_px: tuple[Annotated[tuple[Vec2, ...], Field(min_length=3)], ...] = ()
-    """Polygons of the picture, by their corners, in which nothing is looked for: a ladder, the deck."""
+    """Polygons of the picture in which nothing is looked for: a ladder, the deck."""
     controls: Annotated[tuple[tuple[str, int], ...], Field(examples=[[["gain", 20]]])] = ()
-    """Names of a camera's own controls (V4L2), each with the value that it is given when the camera is opened."""
+    """Values of the camera's own controls (V4L2)."""
 
     @model_validator(mode="after")
     def _above_water(self) -> Self:
@@ -61,7 +61,7 @@ class NamedCamera(Camera):
     """One of several cameras over one pool. Poses are in one pool frame: each is calibrated by points of the same survey."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=24, examples=["west"])]
-    """Name of the camera: in its topics, its localizer's name, reports and faults."""
+    """Name, in topics, reports and faults."""
 
 
 UNSEEING = Camera(
@@ -96,40 +96,37 @@ class Localizer(Section):
     """The tracking of the robots in the camera's pictures."""
 
     uses_camera: bool = True
-    """Poses come from [camera]'s pictures. False: from elsewhere, as from a simulation; then paths may leave the picture
-    and obstacles are not looked for."""
+    """Poses come from [camera]'s pictures. False: from elsewhere; then paths may leave the picture, and nobody watches for
+    obstacles."""
     markers: bool = True
     """Read markers. False: follow robots by their looks alone."""
     marker_family: MarkerFamily = "4x4_50"
-    """Dictionary of all markers: OpenCV's ArUco 4x4_50, or AprilTag 36h11. Ids are 0 to 49 in both."""
+    """Dictionary of all markers. Ids are 0 to 49 in both."""
     basin_margin_m: NotNegative = 0.2
-    """Distance outside the pool's outline from which on a pose is none: a marker on the deck, a reflection."""
+    """Distance outside the pool's outline beyond which a pose is ignored."""
     template_px: Annotated[int, Field(ge=16, le=128)] = 48
     """Side of the correlation filter's template."""
     corner_sigma_px: Positive = 0.2
-    """Standard deviation of a coordinate of a marker's corner: noise, blur, demosaicing. Compressed video has more: 0.5 with
-    H.264 at a rate factor of 30."""
+    """Standard deviation of a coordinate of a marker's corner. With H.264 at a rate factor of 30: 0.5."""
     min_peak: Fraction = 0.3
-    """Least peak of the correlation that counts as found."""
+    """Least peak of the correlation that is taken for the robot."""
     lost_after_s: Positive = 0.7
     """Time without a measurement after which a robot is lost."""
     frozen_frames: Annotated[int, Field(ge=2)] = 5
-    """Number of equal pictures in a row after which the camera counts as frozen."""
+    """Number of equal pictures in a row after which the camera is taken for frozen."""
     depth_sigma_m: Positive = 0.015
-    """Standard deviation of reported depths, mostly their zero. 1 hPa of air pressure and 5 deg of trim are 1 cm."""
+    """Standard deviation of reported depths. 1 hPa of air pressure and 5 deg of trim are 1 cm."""
     tilt_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.05
-    """Standard deviation of roll and pitch at rest of a robot whose board does not measure them. They move the plate over
-    the centre."""
+    """Standard deviation at rest of roll and pitch that a board does not measure."""
     tilt_rad_per_n: Annotated[float, Field(ge=0, le=1)] = 0.026
-    """Tilt per newton of thrust: the thrusters' distance below the centre over the righting moment, here 0.05 m / 1.9 N m."""
+    """Tilt per newton of thrust: the thrusters' distance below the centre over the righting moment."""
     tilt_from_outline: bool = False
-    """Read roll and pitch that boards do not measure off the picture: from plate and outline of the hull, which must be a
-    sphere of `vehicle.radius_m`."""
+    """Read roll and pitch that boards do not measure off the picture. The hull must be a sphere of `vehicle.radius_m`."""
     surface_slope_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0043
     """Standard deviation of the slope of the water's surface."""
     attitude_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.005
-    """Standard deviation of roll and pitch as a board reports them, mostly their zero."""
+    """Standard deviation of roll and pitch that a board measures."""
     preview_rate_hz: NotNegative = 5.0
     """Rate of the annotated pictures for people; 0: none."""
     obstacle_min_m: NotNegative = 0.08
-    """Side of the smallest square that counts as an obstacle; 0: none are looked for."""
+    """Side of the smallest square that is taken for an obstacle; 0: no watch."""

@@ -13,15 +13,12 @@ Amplitudes = tuple[NotNegative, NotNegative, NotNegative]
 
 
 class Tilt(Section):
-    """Roll and pitch: free, and righted by weight below buoyancy. Disabled, the robot stays level (4 degrees of freedom).
-
-    The defaults are the article's sphere with 6.5 kg of it 3 cm below its centre: it swings once in 1.6 s.
-    """
+    """Roll and pitch. The defaults are the article's sphere with 6.5 kg of it 3 cm below its centre: a swing takes 1.6 s."""
 
     enabled: bool = True
-    """Simulate roll and pitch."""
+    """Simulate them. False: 4 degrees of freedom."""
     righting_nm: Positive = 1.9
-    """Righting moment per sine of the tilt: weight times its depth below the centre of buoyancy."""
+    """Righting moment per sine of the tilt."""
     inertia_kg_m2: Positive = 0.12
     """Inertia about the axes of roll and pitch, added mass included."""
     drag_linear: Positive = 0.08
@@ -33,25 +30,25 @@ class Tilt(Section):
 
 
 class WavesConfig(Section):
-    """A regular long-crested wave (Airy's linear theory): water goes round in circles that shrink with depth."""
+    """A regular long-crested wave (Airy's linear theory)."""
 
     height_m: NotNegative = 0.0
     """Height from trough to crest."""
     period_s: Positive = 2.0
     """Period."""
     direction_rad: float = 0.0
-    """Direction in which the wave runs, from pool x to pool y."""
+    """Direction of travel, from pool x to pool y."""
 
 
 class PlantBatteryConfig(Section):
-    """Each robot's battery. It starts at sim.sensors.battery_v; thrust goes with its voltage under load."""
+    """Each robot's battery. Thrust goes with its voltage under load."""
 
     capacity_wh: NotNegative = 55.0
-    """Capacity, by default 3 cells of 5 Ah. 0: it never drains, and thrusters follow their curve exactly."""
+    """Capacity. 0: it never drains, and thrusters follow their curve exactly."""
     curve_v: Positive = 12.0
     """Voltage at which vehicle.thruster.curve was measured."""
     thruster_w: NotNegative = 25.0
-    """Power of one thruster at full thrust. It goes with thrust^1.5, as a propeller's does."""
+    """Power of one thruster at full thrust; it goes with thrust^1.5."""
     electronics_w: NotNegative = 10.0
     """Power of computer and board."""
 
@@ -74,7 +71,7 @@ class PlantConfig(Section):
     gust_mps: NotNegative = 0.0
     """Standard deviation of the current's fluctuation, x and y each."""
     gust_s: Positive = 10.0
-    """Correlation time of the fluctuation, a first-order Gauss-Markov process."""
+    """Correlation time of the fluctuation (Gauss-Markov)."""
     waves: WavesConfig = WavesConfig()
     """A wave on the surface."""
     thruster_spread: Annotated[float, Field(ge=0, lt=1)] = 0.10

@@ -9,8 +9,7 @@ from shoal.config.vehicle import NotNegative, Positive
 
 
 class Recording(Section):
-    """Video is made where the localizer runs, in a thread that gives way to everything else; of pictures that come faster than
-    it can, the newest counts. A preview, small and drawn on, is recorded anyway (`localizer.preview_rate_hz`)."""
+    """Video in the log, besides the preview (`localizer.preview_rate_hz`). It is made where the localizer runs."""
 
     video: Literal["none", "h264", "jpeg"] = "none"
     """Codec of the camera's video in the log."""
@@ -25,4 +24,4 @@ class Recording(Section):
     min_free_gb: NotNegative = 0.5
     """Free disk space without which no run begins."""
     stop_video_below_gb: NotNegative = 0.3
-    """Free disk space below which pictures are no longer recorded, so that the rest is."""
+    """Free disk space below which pictures are no longer recorded."""

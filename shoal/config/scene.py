@@ -21,18 +21,17 @@ MOST_WAYPOINTS = 30_000  # of a path, all laps together: no file has room for mo
 class PoolConfig(Section):
     """The basin. Its walls stand at +-length/2 and +-width/2 around the origin.
 
-    Without `walls` the water has no sides, no floor and no surface that a plan must keep clear of; poses and trajectories
-    still have to lie within `size_m`.
+    Poses and trajectories have to lie within `size_m`, also in open water.
     """
 
     size_m: tuple[Positive, Positive, Positive]
     """Length (x), width (y) and depth (z)."""
     walls: bool = True
-    """The water has sides, a floor and a surface. False: open water."""
+    """Plans keep clear of sides, floor and surface. False: open water."""
 
 
 class Island(Section):
-    """A round island: its foot stands on the floor, its head out of the water."""
+    """A round island, from the floor to above the water."""
 
     position_m: Vec2
     """Centre, x and y."""
@@ -52,7 +51,7 @@ class Circle(Section):
     depth_m: NotNegative
     """Depth of the formation's centre."""
     slow: bool = False
-    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
+    """Slow down where a robot would exceed its limits; false: refuse the plan."""
 
 
 class Waypoints(Section):
@@ -65,7 +64,7 @@ class Waypoints(Section):
     speed_mps: Positive
     """Speed of the formation's centre."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Number of times that the waypoints are flown. With more than one, the last leads back to the first."""
+    """Number of laps. With more than one, the last waypoint leads back to the first."""
     start_index: Annotated[int, Field(ge=0)] = 0
     """Waypoint at which the flight begins, from 0."""
     depth_m: NotNegative = 0.0
@@ -73,13 +72,13 @@ class Waypoints(Section):
     dive_mps: float = 0.0
     """Rate at which the depth grows."""
     slow: bool = False
-    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
+    """Slow down where a robot would exceed its limits; false: refuse the plan."""
     stop: bool = False
-    """Stop at the last waypoint, and stay. False: the run must end before the path does."""
+    """Stop at the last waypoint. False: the run must end before the path does."""
     corner: Literal["smooth", "round", "stop"] = "smooth"
     """One smooth curve through all waypoints; straight sides with round corners; or a stop and a turn at each corner."""
     corner_m: Positive = 0.5
-    """Distance before a round corner at which the path leaves its side; less where sides are shorter than twice that."""
+    """Distance before a round corner at which the path leaves its side; less between short sides."""
 
     @model_validator(mode="after")
     def _starts_on_the_path(self) -> Self:
@@ -111,18 +110,18 @@ class Route(Section):
     clearance_m: NotNegative = 0.1
     """Distance between hulls and walls or islands."""
     smooth_m: Positive = 0.5
-    """Length over which bends are spread, also at places on the way; less where there is no room."""
+    """Length over which bends are spread; less where there is no room."""
     slow: bool = True
-    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
+    """Slow down where a robot would exceed its limits; false: refuse the plan."""
     stop: bool = True
-    """Stop at the last place, and stay. False: the run must end before the path does."""
+    """Stop at the last place. False: the run must end before the path does."""
 
 
 PathSpec = Annotated[Circle | Waypoints | Route, Field(discriminator="kind")]
 
 
 class Change(Section):
-    """Another form on the way, taken smoothly: a named shape, or the same one larger and turned."""
+    """Another form on the way: a named shape, or the present one larger and turned."""
 
     at_s: Annotated[NotNegative, Field(examples=[30.0])]
     """Time in the run at which the change begins."""
@@ -133,11 +132,11 @@ class Change(Section):
     spacing_m: Positive = 0.8
     """Distance of the new shape's nearest nodes, before `scale`."""
     scale: Positive = 1.0
-    """Factor on the nodes' offsets; without a shape, on those that they have then."""
+    """Factor on the nodes' offsets."""
     turn_rad: float = 0.0
-    """Turn of the nodes about the centre; without a shape, from the direction that they have then."""
+    """Turn of the nodes about the centre."""
     order: Annotated[tuple[int, ...], Field(examples=[(2, 1)])] = ()
-    """Ids of the robots in the order of the shape's places, or of their own. Left out: the shortest ways, or no change."""
+    """Ids of the robots in the order of the places. Left out: the shortest ways, or no change."""
 
 
 FORM_USAGE = "[SHAPE [SPACING_M]] [turn DEGREES] [scale FACTOR] [order ID,ID,...] [over SECONDS]"
@@ -202,7 +201,7 @@ class FormationConfig(Section):
     """
 
     kind: Literal["virtual-structure", "leader-follower"] = "virtual-structure"
-    """Every robot follows its own node, or all but the leader keep their offsets from the leader."""
+    """Robots follow their own nodes, or keep their offsets from the leader."""
     leader: Annotated[int | None, Field(examples=[2])] = None
     """Id of the leader; left out: the first robot."""
     mode: Literal["translate", "rotate"] = "translate"
@@ -241,7 +240,7 @@ class RobotConfig(Section):
     path: Annotated[
         PathSpec | None, Field(examples=[{"kind": "circle", "diameter_m": 0.5, "lap_s": 60.0, "depth_m": 0.3}])
     ] = None
-    """A path of its own; left out: the formation's."""
+    """A path of its own, in place of the formation's."""
     start_offset: Vec4 = (0.0, 0.0, 0.0, 0.0)
     """Start, from the first reference: x, y, z in m and yaw in rad."""
     start: Vec4 | None = None
@@ -253,7 +252,7 @@ class RobotConfig(Section):
     marker_id: Annotated[int | None, Field(ge=0, le=49, examples=[7])] = None
     """Id of the marker on its back; left out: its id."""
     depth_offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
-    """Depth that its pressure sensor tells beyond the true depth of the robot's centre; taken off before anything uses it."""
+    """Measured depth minus true depth of the centre; subtracted before anything uses it."""
 
     @property
     def marker(self) -> int:

@@ -34,15 +34,16 @@ class PictureConfig(Section):
     vignetting: Fraction = 0.15
     """Loss of light at the picture's corners."""
     bubbles: Annotated[int, Field(ge=0, le=50)] = 0
-    """Streams of rising bubbles, small bright specks over robots and floor."""
+    """Streams of rising bubbles."""
     shadows: bool = True
     """Draw the robots' shadows."""
     alike: bool = False
-    """Robots in one paint and without numbers; else each has a shade of its own."""
+    """Robots in one paint and without numbers."""
 
 
 class Sensors(Section):
-    """The sensors of the simulated thruster board: one standard deviation of noise, and biases drawn for each robot."""
+    """The sensors of the simulated thruster board: noise is a standard deviation, a bias the largest that is
+    drawn for a robot."""
 
     rate_hz: Annotated[float, Field(ge=5, le=400)] = 50.0
     """Bursts of sensor messages per second."""
@@ -71,13 +72,12 @@ class Sensors(Section):
 
 
 class BoardRules(Section):
-    """The safety rules of the thruster board (docs/board.md). A firmware has the same values built in, and a robot does not
-    arm if its board has others."""
+    """The safety rules of the thruster board (docs/board.md). A robot does not arm if its board has other values."""
 
     neutral_after_s: Annotated[float, Field(gt=0, le=0.3)] = 0.25
     """Age of the last pulses at which the board goes to neutral and disarms."""
     slew_us_per_s: Positive = 8000.0
-    """Largest rate of the pulses. 8000 is full reverse to full ahead in 0.1 s, a thruster's own time constant."""
+    """Largest rate of the pulses. 8000 is full reverse to full ahead in 0.1 s."""
 
     def parameters(self, vehicle: Vehicle) -> dict[str, float]:
         """Values of all parameters that the board of a vehicle should have, by their names in docs/board.md."""
@@ -98,7 +98,7 @@ class BoardRules(Section):
 
 
 class Numeric(Section):
-    """The poses of a numeric flight, in place of camera and localizer: the true pose with this noise, sim.latency_s old."""
+    """The poses of a numeric flight: the true pose with this noise, sim.latency_s old."""
 
     pose_noise_m: NotNegative = 0.0
     """Standard deviation of x and of y."""
@@ -111,8 +111,7 @@ class Numeric(Section):
 
 
 class CameraMotion(Section):
-    """The motion of the simulated camera about [camera]'s pose, as under a hovering drone. Only the simulator knows it: an
-    experiment with a moving camera needs [[landmarks]]."""
+    """The motion of the simulated camera about [camera]'s pose, as under a drone. It needs [[landmarks]]."""
 
     sway_m: NotNegative = 0.0
     """Largest deviation along each axis."""
@@ -128,7 +127,7 @@ class CameraMotion(Section):
 
 
 class Drifter(Section):
-    """A red ball adrift in the simulated pool. No message names it: the camera has to see it, and no robot bounces off it."""
+    """A red ball adrift. The camera has to see it; no robot bounces off it."""
 
     radius_m: Positive = 0.1
     """Radius of this obstacle."""
@@ -146,8 +145,8 @@ class Drifter(Section):
 
 
 class CameraErrors(Section):
-    """Errors of the calibration: the simulated camera and plates are as their keys say, plus this; of each camera alike. With
-    none the localizer knows lens, pose and plates exactly, which no calibration gives."""
+    """Errors of the calibration: the simulated cameras and plates are as their keys say, plus this. Without it the localizer
+    knows lens, pose and plates exactly."""
 
     focal_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
     """Relative error of the focal lengths: true = camera.focal_px (1 + error)."""
@@ -163,7 +162,7 @@ class Sim(Section):
     """All settings of the simulator."""
 
     latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03
-    """Time from the middle of an exposure to the control step, in lockstep, numeric flights and with --poses."""
+    """Time from an exposure to the control step, in lockstep, numeric flights and with --poses."""
     numeric: Numeric = Numeric()
     """Poses of numeric flights."""
     plant: PlantConfig = PlantConfig()

@@ -104,6 +104,7 @@ class Telemetry:
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
     acknowledgements: int = 0
+    arm_open: bool = False  # an answer to a request to arm may still come: one that comes now is not about disarming
     texts: tuple[tuple[int, str], ...] = ()  # the last few STATUSTEXT: severity (0 worst, 7 debug), text
     texts_received: int = 0
     clock_offset_ns: int = 0  # board's clock minus ours, by the quickest of the last TIMESYNCs
@@ -194,6 +195,7 @@ class AgentLink:
         self._clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)  # round trip, the board's clock minus ours
         self._doubted_clock: tuple[int, int] | None = None  # the last answer, if it contradicts those before it
         self._power_on = PowerOnDepth()
+        self._arm_answered = False  # an answer has come since the board was asked to arm
         self._reported: dict[str, int] = {}  # the last value of each field that the next report has to confirm
         self.telemetry = Telemetry()
         self.parameters = ParameterList()  # of the board's present life
@@ -217,7 +219,11 @@ class AgentLink:
         return self._sender.pack(message)
 
     def arm(self, arm: bool) -> bytes:
-        """Ask the board to arm or to disarm; the answer is `Telemetry.acknowledged`."""
+        """Ask the board to arm or to disarm; the answer is `Telemetry.acknowledged`, which does not say to which of the two.
+        After a request to arm it counts once a heartbeat has shown what became of that one: `Telemetry.arm_open`."""
+        if arm:
+            self._arm_answered = False
+            self.telemetry = replace(self.telemetry, arm_open=True)
         return self._sender.pack(
             dialect.MAVLink_command_long_message(
                 self._robot_id, BOARD_COMPONENT, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, float(arm), 0, 0, 0, 0, 0, 0
@@ -287,8 +293,8 @@ class AgentLink:
         kind = message.get_type()
         if kind == "ATTITUDE":  # the last of a burst: its time is the burst's
             complete, self._has_depth = self._has_depth, False
-            if not complete:  # the pressure sensor is dead, or that frame lost: the last depth must not look live
-                return {}
+            if not complete or math.isnan(message.yaw) or math.isnan(message.yawspeed):
+                return {}  # a sensor does not measure, or a frame is lost: the last burst must not look live
             tilt = _tilt_of(message)
             burst = {
                 "heading_rad": within(message.yaw, -math.tau, math.tau),
@@ -303,6 +309,8 @@ class AgentLink:
             unit = STANDARD_GRAVITY_MPS2 / 1000.0
             return {"acceleration_mps2": (message.xacc * unit, message.yacc * unit, message.zacc * unit)}
         if kind == "SCALED_PRESSURE2":
+            if math.isnan(message.press_abs):  # not measured, as by a sensor that starts
+                return {}
             depth_m = hpa_to_depth(within(message.press_abs, 500.0, 20_000.0))
             self._has_depth = True
             return {"depth_m": depth_m}
@@ -319,6 +327,8 @@ class AgentLink:
             armed, hil = dialect.MAV_MODE_FLAG_SAFETY_ARMED, dialect.MAV_MODE_FLAG_HIL_ENABLED
             mode = message.base_mode
             own = {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
+            if own["armed"] or self._arm_answered:
+                own["arm_open"] = False
             status, causes = message.custom_mode, RESET_CAUSES.items()
             if message.autopilot in NO_AUTOPILOT:  # an autopilot's own modes are something else
                 if status:
@@ -337,6 +347,7 @@ class AgentLink:
         if kind == "COMMAND_ACK":
             if message.target_system and (message.target_system, message.target_component) != self._me:
                 return {}  # the answer to another sender's request
+            self._arm_answered = self._arm_answered or message.command == ARM_DISARM
             count = changes.get("acknowledgements", self.telemetry.acknowledgements)
             return {"acknowledged": (message.command, message.result), "acknowledgements": count + 1}
         if kind == "PARAM_VALUE":

@@ -83,12 +83,12 @@ class Mode(IntEnum):
     """The mode of a robot. The table of transitions is in robot_agent/safety/modes.py."""
 
     DISARMED = 0
-    ARMED = 1  # The thrusters are at neutral, and the robot is ready to start.
+    ARMED = 1  # At neutral, ready to start.
     TRACKING = 2
     HOLDING = 3  # The robot keeps its position.
-    STOPPED = 4  # Emergency stop, latched until it is cleared.
+    STOPPED = 4  # Emergency stop, latched.
     FAULT = 5
-    DRIVEN = 6  # A person drives the robot; it stops by itself when no DRIVE comes.
+    DRIVEN = 6  # A person drives; it holds when no DRIVE comes.
 
 
 class Guidance(IntEnum):
@@ -96,10 +96,10 @@ class Guidance(IntEnum):
     transitions."""
 
     NONE = 0  # Nothing: the thrusters are at neutral.
-    JOINING = 1  # The robot is on its way to its path, after START, RESUME, or a leap of the path.
+    JOINING = 1  # On the way to the path, after START, RESUME, or a leap of the path.
     ON_PATH = 2
-    GIVING_WAY = 3  # The robot leaves its path for another robot or an obstacle.
-    RETURNING = 4  # The robot is on its way back to its path after giving way.
+    GIVING_WAY = 3  # Around another robot or an obstacle.
+    RETURNING = 4  # Back to the path after giving way.
     HOLDING = 5
     DRIVEN = 6
 
@@ -109,12 +109,12 @@ class Solve(IntEnum):
 
     NONE = 0  # No optimisation was needed.
     SOLVED = 1
-    SHIFTED = 2  # The previous plan, shifted by one step, was used.
-    FAILED = 3  # No plan was left, so the thrusters went to neutral.
+    SHIFTED = 2  # The previous plan was used.
+    FAILED = 3  # No plan was left: neutral.
 
 
 class CommandKind(IntEnum):
-    """Commands from the station to one robot."""
+    """Commands from the station to one robot. A *request* goes to the station only."""
 
     NONE = 0
     LOAD = 1
@@ -127,18 +127,18 @@ class CommandKind(IntEnum):
     CLEAR_STOP = 8
     TUNE = 9  # Check these gains and keep them ready; nothing changes yet.
     ADOPT = 10  # Fly with the gains that are ready.
-    RETURN = 11  # To the station only: all robots return to their starts.
-    REJOIN = 12  # To the station only: lost robots take their places again.
-    GO = 13  # To the station only: the formation goes to other places than planned.
+    RETURN = 11  # Request: all robots return to their starts.
+    REJOIN = 12  # Request: lost robots take their places again.
+    GO = 13  # Request: the formation goes to other places than planned.
     SWITCH = 14  # Change to the trajectory that was loaded in flight, at its first sample.
     TEST = 15  # Pulse each thruster and compare the board's echo.
-    END = 20  # To the station only: disarm all robots, then end the run.
+    END = 20  # Request: disarm all robots, then end the run.
     DRIVE = 21  # Move at this velocity, for a short time.
-    OUT = 22  # To the station only: this robot has been taken out of the water.
-    BACK_IN = 23  # To the station only: it is in the water again.
-    FORMATION = 24  # To the station only: the formation takes another form.
-    FAULT = 25  # To the station only, in simulation: something breaks.
-    PATH = 26  # To the station only: the formation flies the path of another experiment.
+    OUT = 22  # Request: the robot is out of the water.
+    BACK_IN = 23  # Request: the robot is in the water again.
+    FORMATION = 24  # Request: the formation takes another form.
+    FAULT = 25  # Request, in simulation: something breaks.
+    PATH = 26  # Request: the formation flies the path of another experiment.
 
 
 class Progress(IntEnum):
@@ -180,7 +180,7 @@ class Truth:
     nu: Annotated[Array, 3, Label("", parts=VELOCITY)] = array(-1, 4)
     wrench: Annotated[Array, 4, Label("", parts=WRENCH)] = wrench_array(-1)  # Wrench that the thrusters deliver.
     disturbance: Annotated[Array, 5, Label("", parts=ACCELERATION, prefix="disturbance_")] = array(-1, 4)
-    # Acceleration that the nominal model does not explain, in the body frame.
+    # Acceleration that the model does not explain, in the body frame.
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,18 +202,18 @@ class LocalizerStatus:
     """The state of the localizer, once a frame."""
 
     camera: Annotated[CameraHealth, 1] = CameraHealth.ABSENT
-    frames: Annotated[Uint64, 2] = 0  # Pictures processed since the start.
-    dropped: Annotated[Uint64, 3] = 0  # Pictures not processed, because a newer one had come.
+    frames: Annotated[Uint64, 2] = 0  # Pictures processed.
+    dropped: Annotated[Uint64, 3] = 0  # Pictures left out for a newer one.
     frame_ms: Annotated[float, 4] = 0.0  # Processing time of the last picture.
     frame_age_ms: Annotated[float, 5] = 0.0  # Time from the exposure to the publication.
-    message: Annotated[str, 6] = ""  # The trouble in words, for people; empty if there is none.
+    message: Annotated[str, 6] = ""  # The trouble in words.
     robots: Annotated[tuple[Uint32, ...], 7] = ()  # Robots whose poses in this picture are published.
-    obstacles_ns: Annotated[Int64, 8] = -1  # Stamp of the newest Obstacles published before those poses; -1: none yet.
-    failed: Annotated[Uint64, 9] = 0  # Pictures skipped since the start, because their processing raised an error.
-    out: Annotated[tuple[str, ...], 10] = ()  # Of several cameras, the names of those that give no poses now.
-    moved: Annotated[bool, 11] = False  # Whether check marks show that the camera was moved.
+    obstacles_ns: Annotated[Int64, 8] = -1  # Stamp of the newest Obstacles before those poses; -1: none yet.
+    failed: Annotated[Uint64, 9] = 0  # Pictures skipped after an error.
+    out: Annotated[tuple[str, ...], 10] = ()  # Of several cameras, those that give no poses now.
+    moved: Annotated[bool, 11] = False  # Check marks show that the camera was moved.
     marks_seen: Annotated[bool, 12] = False  # Most check marks are seen: only then is a moved camera known to be back.
-    code: Annotated[str, 13] = ""  # Version and commit of the localizer's program.
+    code: Annotated[str, 13] = ""  # Version and commit.
     experiment_hash: Annotated[str, 14] = ""  # Of the experiment whose markers and camera its poses rest on.
 
 
@@ -227,12 +227,12 @@ class Obstacles:
 
     ids: Annotated[tuple[Uint32, ...], 1] = row_numbers()  # Kept while the obstacle is tracked; none is used twice.
     outline: Annotated[Array, 2, CORNERS] = array(-1, 12, 2)  # Corners x, y in the pool frame, m.
-    velocity: Annotated[Array, 3, columns("x_mps", "y_mps")] = array(-1, 2)  # Velocity over the floor in the pool frame, m/s.
-    depth_m: Annotated[float, 4] = 0.0  # Assumed depth: that of the robots' path, where an obstacle would be in their way.
-    watched: Annotated[float, 5] = 0.0  # Share of the pool that can be judged, 0 to 1. The list says nothing about the rest.
+    velocity: Annotated[Array, 3, columns("x_mps", "y_mps")] = array(-1, 2)  # Over the floor, in the pool frame, m/s.
+    depth_m: Annotated[float, 4] = 0.0  # Assumed: that of the robots' path.
+    watched: Annotated[float, 5] = 0.0  # Share of the pool that can be judged, 0 to 1.
     blind: Annotated[str, 6] = ""  # Reason why too little of the pool can be judged for the list to count.
     unseen_s: Annotated[Array, 7, columns("unseen_s")] = array(-1)
-    # Time since each obstacle was last seen. The other fields are as of then.
+    # Time since each was last seen. The other fields are as of then.
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,9 +244,9 @@ class Plan:
     eta_reference: Annotated[Array, 3, Label("", parts=POSE, prefix="reference_")] = array(-1, 4)
     # Reference poses at the same nodes.
     tracking_error_m: Annotated[float, 4] = 0.0  # Distance from the reference at node 0.
-    urgent: Annotated[bool, 5] = False  # The robot has priority: others give way to it.
-    heard: Annotated[tuple[Uint32, ...], 7] = ()  # Robots whose plans it receives. Only they may rely on it to give way.
-    adrift: Annotated[bool, 8] = False  # It has no thrust and drifts as predicted: nobody may rely on it to give way.
+    urgent: Annotated[bool, 5] = False  # Others give way to it.
+    heard: Annotated[tuple[Uint32, ...], 7] = ()  # Robots whose plans it receives: only they may rely on it to give way.
+    adrift: Annotated[bool, 8] = False  # It has no thrust, drifts as predicted, and gives way to nobody.
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +254,7 @@ class BoardReading:
     """The last telemetry of a thruster board, as far as its robot acts on it (Telemetry of shoal/mavlink/agent_link.py)."""
 
     board_ms: Annotated[Int64, 1] = -1  # The board's time of the last burst; -1: none yet.
-    arrival_ns: Annotated[Int64, 2] = 0  # Instant of the measurement on the robot's clock, or of the reading.
+    arrival_ns: Annotated[Int64, 2] = 0  # Instant of the measurement on the robot's clock.
     heading_rad: Annotated[float, 3] = 0.0
     yaw_rate_radps: Annotated[float, 4] = 0.0
     acceleration_mps2: Annotated[Array, 5, Label("", parts=ACCELERATION[:3], prefix="acceleration_")] = array(
@@ -266,12 +266,12 @@ class BoardReading:
     armed: Annotated[bool, 8] = False
     echo_us: Annotated[tuple[Uint32, ...], 9, Label("Echo", parts=CHANNELS, prefix="echo_")] = ()
     loss: Annotated[float, 10, Label("Board messages lost")] = 0.0  # Fraction of the board's messages lost in the last 5 s.
-    charge: Annotated[Uint32, 11] = 0  # Charge state by the board: MAV_BATTERY_CHARGE_STATE, 0 if not known.
-    battery_reports: Annotated[Uint32, 12] = 0  # Number of voltages received from the board; 0: none yet, or an old log.
-    heartbeats: Annotated[Uint32, 14] = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
-    autopilot: Annotated[Uint32, 15] = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
+    charge: Annotated[Uint32, 11] = 0  # MAV_BATTERY_CHARGE_STATE; 0: not known.
+    battery_reports: Annotated[Uint32, 12] = 0  # Voltages received from the board.
+    heartbeats: Annotated[Uint32, 14] = 0  # HEARTBEATs received from the board.
+    autopilot: Annotated[Uint32, 15] = 0  # MAV_AUTOPILOT of the board's HEARTBEAT: 0 or 8 for a thruster board.
     power_on_depth_m: Annotated[float, 16] = 0.0  # Depth at which the board was restarted; 0: not restarted.
-    objection: Annotated[str, 17] = ""  # Reason not to arm that the robot's program found in the board's parameters.
+    objection: Annotated[str, 17] = ""  # Reason not to arm, from the board's parameters.
     zero_in_question: Annotated[bool, 18] = False  # A person has to confirm the board's depth zero.
 
 
@@ -282,7 +282,7 @@ class Estimate:
     eta: Annotated[Array, 1, Label("Estimated", parts=POSE)] = array(4)  # Pose.
     nu: Annotated[Array, 2, Label("Velocity", parts=VELOCITY)] = array(4)  # Velocity over ground.
     disturbance: Annotated[Array, 3, Label("Disturbance", parts=ACCELERATION, prefix="disturbance_")] = array(4)
-    # Acceleration that the nominal model in still water does not explain.
+    # Acceleration that the model in still water does not explain.
     drag_ratio: Annotated[float | None, 4, Label("Learned drag per mass, × the file's")] = None  # None if it is not learned.
     thrust_ratio: Annotated[float | None, 5, Label("Learned thrust per mass, × the file's")] = None
     # None if it is not learned.
@@ -300,9 +300,9 @@ class Control:
     wrench_step: Annotated[Array, 4, Label("Wrench step", parts=WRENCH, prefix="step_")] = wrench_array()
     # Change of the wrench in this step.
     wrench_wanted: Annotated[Array, 5, Label("Wrench before limits", parts=WRENCH, prefix="wanted_")] = wrench_array()
-    # Result of the control law before magnitude and rate were limited.
+    # The law's result before limits.
     wrench_delivered: Annotated[Array, 6, Label("Wrench delivered", parts=WRENCH, prefix="delivered_")] = wrench_array()
-    # Wrench after allocation and limits, by the nominal thrust curve.
+    # After allocation and limits, by the nominal curve.
     solve: Annotated[Solve, 7] = Solve.NONE
     iterations: Annotated[Uint32, 8, Label("Solver iterations")] = 0
     slack_m: Annotated[float, 9, Label("Plan in another's space", "m")] = 0.0
@@ -327,11 +327,11 @@ class RobotState:
     """The result of one control step, as the robot knows it. The header's stamp is the step's instant."""
 
     mode: Annotated[Mode, 1] = Mode.DISARMED
-    fault: Annotated[str, 2] = ""  # Reason why the robot holds, stopped or failed; empty if there is none.
-    guidance: Annotated[Guidance, 3] = Guidance.NONE  # The part of the guidance that decides the robot's motion.
+    fault: Annotated[str, 2] = ""  # Reason why the robot holds, stopped or failed.
+    guidance: Annotated[Guidance, 3] = Guidance.NONE  # What decides the robot's motion.
     experiment_hash: Annotated[str, 4] = ""
     tuning_id: Annotated[str, 5] = ""  # Id of the gains in use.
-    code: Annotated[str, 6] = ""  # Version and commit of the robot's program.
+    code: Annotated[str, 6] = ""  # Version and commit.
     trajectory_s: Annotated[float, 7, Label("Time along the trajectory", "s")] = 0.0  # 0 until it is started.
     trajectory_id: Annotated[str, 8] = ""
     pulse_us: Annotated[tuple[Uint32, ...], 9, Label("Pulse", parts=CHANNELS, prefix="pulse_")] = ()
@@ -340,8 +340,8 @@ class RobotState:
     heard: Annotated[tuple[Uint32, ...], 11] = ()  # Neighbours whose plans are fresh.
     blind: Annotated[str, 12] = ""  # Reason why obstacles are unknown although they should be watched for.
     thruster_test: Annotated[str, 13] = ""  # "", "running", "passed", or the fault that was found.
-    estimate: Annotated[Estimate | None, 14] = None  # None until the robot knows its place; only with it there is a plan.
-    control: Annotated[Control | None, 15] = None  # None while the thrusters are at neutral because the robot has no goal.
+    estimate: Annotated[Estimate | None, 14] = None  # None until the robot knows its place.
+    control: Annotated[Control | None, 15] = None  # None while the robot has no goal: neutral.
     board: Annotated[BoardReading | None, 16] = None  # Depth less the robot's `depth_offset_m`; None until it was heard.
     timing: Annotated[StepTiming, 17] = StepTiming()
 
@@ -367,13 +367,13 @@ class StationHeartbeat:
     experiment_hash: Annotated[str, 1] = ""
     emergency_stop: Annotated[bool, 2] = False
     mission: Annotated[str, 3] = ""  # State of the mission, for people.
-    lag_s: Annotated[float, 4] = 0.0  # Delay of the virtual structure behind its timetable at the header's stamp.
-    slowing: Annotated[float, 5] = 0.0  # Rate at which lag_s grows, s/s: 0 at full speed, 1 at standstill.
+    lag_s: Annotated[float, 4] = 0.0  # Delay behind the timetable at the header's stamp.
+    slowing: Annotated[float, 5] = 0.0  # Rate at which lag_s grows: 0 at full speed, 1 at standstill.
     planned: Annotated[tuple[Uint32, ...], 6] = ()  # Robots that published a plan in their last step.
-    code: Annotated[str, 7] = ""  # Version and commit of the station's program.
-    out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
-    began_ns: Annotated[Int64, 9] = 0  # Instant, on the station's clock, at which the flight began or will; 0: not known.
-    flight_s: Annotated[float, 10] = 0.0  # Planned end of the flight along its trajectory; 0: none, or on the way home.
+    code: Annotated[str, 7] = ""  # Version and commit.
+    out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that are out of the water.
+    began_ns: Annotated[Int64, 9] = 0  # Begin of the flight on the station's clock; 0: not known.
+    flight_s: Annotated[float, 10] = 0.0  # Planned end of the flight; 0: none, or on the way home.
 
 
 ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own, and whose clock is its own
@@ -390,7 +390,7 @@ class Trajectory:
     # d eta / dt, in the pool frame.
     acceleration: Annotated[Array, 5, columns("x_mps2", "y_mps2", "z_mps2", "yaw_radps2")] = array(-1, 4)
     # d2 eta / dt2, in the pool frame.
-    begin_s: Annotated[float, 6] = 0.0  # Time of the first sample, on the clock that runs along the trajectories.
+    begin_s: Annotated[float, 6] = 0.0  # Time of the first sample along the trajectories.
 
 
 @dataclass(frozen=True, eq=False)

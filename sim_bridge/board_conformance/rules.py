@@ -211,16 +211,20 @@ def _parameters(probe: BoardProbe) -> Measured:
     return probe.station.complete and "THR_NEUTRAL_US" in probe.station.values, f"{len(probe.station.values)} parameters"
 
 
+def _bad_frames(probe: BoardProbe) -> int:
+    return probe.computer.telemetry.bad_frames + probe.computer.telemetry.refused_frames
+
+
 def _telemetry(probe: BoardProbe) -> Measured:
     probe.listen(0.2)
     times_ms: set[int] = set()
-    probe.bytes_heard = 0
+    probe.bytes_heard, bad_before = 0, _bad_frames(probe)  # a link that was opened in the middle of a frame began with a bad one
     for _ in range(400):
         probe.listen(0.005)
         times_ms.add(probe.computer.telemetry.board_ms)
     telemetry, rate = probe.computer.telemetry, len(times_ms) / 2.0
     complete = len(telemetry.echo_us) == 8 and telemetry.battery_v > 0.0 and math.hypot(*telemetry.acceleration_mps2) > 1.0
-    bad = telemetry.bad_frames + telemetry.refused_frames
+    bad = _bad_frames(probe) - bad_before
     good = rate >= BURST_HZ and complete and bad == 0
     return good, f"{rate:.0f} Hz, {probe.bytes_heard / 2:.0f} bytes/s, {bad} bad frames{'' if complete else ', incomplete'}"
 

@@ -185,6 +185,6 @@ def _cells(state: RobotState) -> tuple[str, ...]:
         state.track.name.lower(),
         "never" if state.timing.pose_age_ms is None else f"{state.timing.pose_age_ms:.0f} ms",
         f"{state.timing.step_us:.0f} us",
-        f"{state.board.battery_v if state.board is not None else 0.0:.1f} V",
+        f"{state.board.battery_v:.1f} V" if state.board is not None and state.board.battery_v > 0.0 else "-",
         state.fault,
     )

@@ -340,14 +340,15 @@ class ThrusterBoard:
                 voltage = self.sensors.battery_v(supply_v, self._load.of(self.pulses))
             if voltage is not None:
                 self.rules.battery(voltage, _seconds(self._last_burst_ns, now_ns))
-        reading: Reading | SimulatedMotion | None = None
-        if measures and self._simulated is not None:
-            reading = self._simulated.motion(now_ns)
-        elif measures:
-            reading = self._zeroed(self.sensors.read(eta, nu, acceleration, tilt, now_ns / S_NS))
         self.rules.step(now_ns)
         self._report_status()
         if measures:
+            reading: Reading | SimulatedMotion | None
+            if self._simulated is not None:
+                reading = self._simulated.motion(now_ns)
+            else:
+                reading = self._zeroed(self.sensors.read(eta, nu, acceleration, tilt, now_ns / S_NS))
+            self._report_status()
             self._burst(now_ns, reading, voltage)
             self._last_burst_ns = now_ns
         self._last_step_ns = now_ns

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.row import FaultRow, Sample
+from tests.faults.row import LEFT, RESUMED, FaultRow, Sample
 
 PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "faults.md"
 RESULTS = PAGE.with_suffix(".json")
 
 
 NOT_MEASURED = "not measured"
+MARKS = {RESUMED: "†", LEFT: "‡"}  # of what never happened in many rows
 
 
 def machine() -> str:
@@ -111,7 +112,8 @@ HEAD = """# Faults
 
 Written by `make faults`, which injects every fault below into real processes at random instants and measures what the thruster
 boards do. Each figure is the worst of N injections and its limit, from the fault on. A limit with a percentage holds for that
-share of the injections. faults.json has medians. One row again: `make faults ARGS="--row {example} --times 5"`.
+share of the injections. †: no robot had thrust again unasked. ‡: no robot left its path. faults.json has medians. One row
+again: `make faults ARGS="--row {example} --times 5"`.
 
 A user can inject the faults of [reference/faults.md](../reference/faults.md); the others need the tests' own tools.
 Known gaps: [safety.md](../safety.md). Robots that are held fast, with a turned marker, or in too strong a current:
@@ -149,9 +151,10 @@ def _measured(outcome: RowOutcome | None) -> str:
         return NOT_MEASURED
     never = [name for name, figure in outcome.figures.items() if figure.times and figure.worst == figure.limit == 0.0]
     words = [_worst(name, figure) for name, figure in outcome.figures.items() if name not in never]
-    words += [f"never {' or '.join(never)}"] if never else []
+    others = [name for name in never if name not in MARKS]
+    words += [f"never {' or '.join(others)}"] if others else []
     words += [f"**stuck {len(outcome.stuck)} times**"] if outcome.stuck else []
-    return "; ".join(words)
+    return "; ".join(words) + "".join(MARKS[name] for name in never if name in MARKS)
 
 
 def _worst(name: str, figure: Figure) -> str:

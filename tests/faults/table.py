@@ -23,32 +23,32 @@ ROWS: tuple[FaultRow, ...] = (
         rows_sight.localizer_hung,
     ),
     FaultRow(
-        "camera-frozen", "Frozen camera", "the same picture again and again, with new stamps",
+        "camera-frozen", "Frozen camera", "the same picture with new stamps",
         {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), "alert": SECONDS(0.55), RESUMED: TIMES()}, rows_sight.camera_frozen,
     ),
     FaultRow(
-        "lamp-switched", "A lamp is switched", "half or twice the light, for 6 s",
+        "lamp-switched", "A lamp is switched", "half or twice the light for 6 s",
         {"hold": SECONDS(1.0), "blind told": SECONDS(1.0), rows_sight.TRACKS: TIMES()},
         rows_sight.lamp_switched, times=5,
     ),
     FaultRow(
-        "camera-bumped", "The camera is bumped", "the picture is moved by 60 to 118 pixels, for 6 s",
+        "camera-bumped", "The camera is bumped", "by 60 to 118 pixels, for 6 s",
         {"hold": SECONDS(1.0), rows_sight.TRACKS: TIMES()},
         rows_sight.camera_bumped, times=5,
     ),
     FaultRow(
         "camera-bumped-of-two", "One of two cameras is bumped",
-        "the picture of one is moved by 23 to 113 pixels while the other sees all robots, for 3 s of a lockstep flight",
+        "by 23 to 113 pixels for 3 s, while the other sees all robots",
         {"camera out": SECONDS(0.5), LEFT: TIMES(), rows_cameras.OFF_TRUTH: Measure(0.01, "m")},
         rows_cameras.camera_bumped_of_two, times=10, rig="",
     ),
     FaultRow(
-        "camera-bumped-alone", "One of two cameras is bumped", "the same while it alone sees a robot",
+        "camera-bumped-alone", "One of two cameras is bumped", "while it alone sees a robot",
         {"camera out": SECONDS(0.5), "hold": SECONDS(1.0), rows_cameras.OFF_TRUTH: Measure(0.01, "m")},
         rows_cameras.camera_bumped_alone, times=10, rig="",
     ),
     FaultRow(
-        "camera-bubbles", "Bubbles before the camera", "10 to 50 streams, for 6 s of a lockstep flight",
+        "camera-bubbles", "Bubbles before the camera", "10 to 50 streams for 6 s",
         {LEFT: TIMES(), rows_cameras.OFF_TRUTH: Measure(0.005, "m")}, rows_cameras.camera_bubbles, times=10, rig="",
     ),
     FaultRow(
@@ -72,15 +72,15 @@ ROWS: tuple[FaultRow, ...] = (
         {"neutral": SECONDS(0.35), "alert": SECONDS(0.5)}, rows_robot.solver_slow, rig="patched",
     ),
     FaultRow(
-        "solver-unsolved", "QP infeasible, not converged", "no quadratic program has a solution any more",
+        "solver-unsolved", "QP infeasible, not converged", "no program has a solution",
         {"neutral": SECONDS(0.2 + STEP_S), "shifted plans": TIMES(3)}, rows_robot.solver_unsolved, rig="patched",
     ),
     FaultRow(
-        "station-killed", "Ground station lost", "SIGKILL; the network's router dies with it",
+        "station-killed", "Ground station lost", "SIGKILL, with the router",
         {"neutral": SECONDS(3.0), RESUMED: TIMES()}, rows_network.station_killed, times=50,
     ),
     FaultRow(
-        "station-alone-killed", "Ground station lost", "SIGKILL; the router lives on",
+        "station-alone-killed", "Ground station lost", "SIGKILL; the router goes on",
         STATION_LOST,
         rows_network.station_alone_killed, times=50, rig="router",
     ),
@@ -90,90 +90,88 @@ ROWS: tuple[FaultRow, ...] = (
         rows_network.station_alone_hung, times=50, rig="router",
     ),
     FaultRow(
-        "partition", "Network partition", "robot 1 cut off both ways or one way, 1 to 5 s",
+        "partition", "Network partition", "robot 1, both ways or one way, 1 to 5 s",
         {"neutral": SECONDS(0.5), "neutral, still hearing": SECONDS(3.0), "neighbour's plan expired": SECONDS(0.6),
          RESUMED: TIMES()}, rows_network.partition,
     ),
     FaultRow(
-        "partition-short", "Network partition", "robot 1 cut off for 0.2 s",
+        "partition-short", "Network partition", "robot 1, 0.2 s",
         {"worse than holding": TIMES()}, rows_network.partition_short,
     ),
     FaultRow(
-        "start-late", "START late", "robot 2 gets none of the station's STARTs for 1.2 s",
+        "start-late", "START late", "robot 2 gets none for 1.2 s",
         {"timetables apart": SECONDS(0.05)}, rows_network.start_late, times=5, rig="seen-patched",
     ),
     FaultRow(
-        "switch-partial", "SWITCH lost", "robot 2 of three gets no order to go over to a new path",
+        "switch-partial", "SWITCH lost", "robot 2 of three gets none",
         {"all hold": SECONDS(4.0), "references out of shape": Measure(0.05, "m"),
          "states on an old plan after RESUME": TIMES()},
         rows_network.switch_partial, times=5, rig="detour",
     ),
     FaultRow(
-        "link-cut", "MAVLink cut", "nothing passes the serial line either way",
+        "link-cut", "MAVLink cut", "both ways",
         {"neutral": SECONDS(0.3), RESUMED: TIMES()}, rows_robot.link_cut,
     ),
     FaultRow(
-        "link-garbage", "MAVLink garbage, bad CRC", "bit flips, false starts, frames doubled, late, forged; for 2 s",
+        "link-garbage", "MAVLink garbage, bad CRC", "bit flips, false starts, frames doubled, late, forged, for 2 s",
         {"board in step again": SECONDS(0.25), "agent in step again": SECONDS(0.25)}, rows_robot.link_garbage,
     ),
     FaultRow(
-        "board-disobeys", "The board puts out other pulses than it is told",
-        "two of its outputs are confused; only time counts in which they are told pulses more than "
-        f"{rows_robot.SAME_US} us apart",
+        "board-disobeys", "The board disobeys",
+        f"two outputs are confused; timed while their pulses should be more than {rows_robot.SAME_US} us apart",
         {"neutral": SECONDS(0.9), "alert": SECONDS(0.8), RESUMED: TIMES()}, rows_robot.board_disobeys, times=20,
     ),
     FaultRow(
         "thruster-broken", "Thruster dead, stuck, reversed, weak",
-        "in the plant, 10 to 20 s into a flight in still water (safety.off_path_m = 0.1); for the flag only time counts in "
-        f"which {LACKING_N} N are lacking",
+        f"in still water, safety.off_path_m = 0.1; the flag is timed while {LACKING_N} N are lacking",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
          "off its path": Measure(0.15, "m")}, rows_robot.thruster_broken, times=40, rig="still",
     ),
     FaultRow(
         "depth-wrong", "Pressure sensor wrong",
-        "it reads 10 m, 0.5 m more or 0.2 m less than it should, or the same for 10 s",
+        "10 m, 0.5 m more, 0.2 m less, or the same for 10 s",
         {"fault": SECONDS(0.5 + STEP_S), "neutral": SECONDS(0.5 + 2 * STEP_S), "true depth off": Measure(0.05, "m"),
          "true depth off, stuck": Measure(0.15, "m"), RESUMED: TIMES()}, rows_robot.depth_wrong, times=10,
         rig="seen",
     ),
     FaultRow(
-        "marker-gone", "A robot's marker plate comes off", "in the picture, and put back when the robot is neutral",
+        "marker-gone", "A marker plate comes off", "put back at neutral",
         {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), RESUMED: TIMES()}, rows_sight.marker_gone, times=20,
     ),
     FaultRow(
-        "battery-empty", "Battery low", "the voltage sags by 3.5 V within 0.6 s",
+        "battery-empty", "Battery low", "3.5 V less within 0.6 s",
         {"neutral": SECONDS(3.0), "armed on an empty battery": TIMES()}, rows_robot.battery_empty, times=20,
     ),
     FaultRow(
-        "emergency-stop", "Emergency stop", "a person's order",
+        "emergency-stop", "Emergency stop", "2 robots",
         {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows_network.emergency_stop,
     ),
     FaultRow(
-        "emergency-stop-20", "Emergency stop", "a person's order to 20 robots, at 5 steps a second: two cores carry no more",
+        "emergency-stop-20", "Emergency stop", "20 robots, 5 steps a second",
         {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows_network.emergency_stop,
         rig="fleet",
     ),
     FaultRow(
-        "emergency-stop-lossy", "Emergency stop", "the same, 30 % of what goes to and from the boards lost",
+        "emergency-stop-lossy", "Emergency stop", "the same, 30 % of the boards' traffic lost",
         {"all boards neutral": SECONDS(0.5, quantile=0.99), "started while stopped": TIMES()},
         rows_network.emergency_stop_lossy, rig="fleet",
     ),
     FaultRow(
-        "page-frozen", "Operator's browser frozen", "three pages connected, then stopped with SIGSTOP",
+        "page-frozen", "Operator's browser frozen", "three pages, SIGSTOP",
         {"longest gap between heartbeats": SECONDS(0.3), LEFT: TIMES()}, rows_station.page_frozen,
         times=3, rig="page",
     ),
     FaultRow(
-        "page-events", "Log lines that are too long", "two of 4 MB in a robot's name; then the page is opened",
+        "page-events", "Log lines that are too long", "two of 4 MB, then a page is opened",
         {"page opens": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3), LEFT: TIMES()},
         rows_station.page_events, times=5, rig="page",
     ),
     FaultRow(
-        "clock-step", "Clock skew between machines", "one of the clocks steps by 1 to 47 hours, and back",
+        "clock-step", "Clock skew between machines", "a clock steps by 1 to 47 hours, and back",
         {LEFT: TIMES()}, rows_station.clock_step, rig="patched",
     ),
     FaultRow(
-        "disk-full", "Log: disk full", "the log's file system is filled up",
+        "disk-full", "Log: disk full", "its file system is filled up",
         {"alert": SECONDS(2.0), "of the log lost": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3),
          "unreadable logs": TIMES(), LEFT: TIMES()},
         rows_station.disk_full, times=20, rig="disk",
@@ -183,28 +181,28 @@ ROWS: tuple[FaultRow, ...] = (
         {"of the log lost": SECONDS(1.0), "unreadable logs": TIMES()}, rows_station.log_killed, times=50, rig="disk",
     ),
     FaultRow(
-        "flood", "Malformed, oversized, flood", "10,000 messages a second in robot 2's name: damaged, of 4 MB, of other types",
+        "flood", "Malformed, oversized, flood", "10,000 messages a second in robot 2's name",
         {"share of deadlines missed": Measure(0.001, ""), LEFT: TIMES(), "processes ended": TIMES()},
         rows_station.flood, times=10,
     ),
     FaultRow(
-        "thread-dead", "A thread ends", "an exception in one of the localizer's, the simulator's or the station's recorder's",
+        "thread-dead", "A thread ends", "of localizer, simulator or recorder, by an exception",
         {"process ended": SECONDS(1.0), "ended without a reason": TIMES(), "neutral": SECONDS(1.5),
          "told that the log has stopped": SECONDS(2.0), LEFT: TIMES()},
         rows_station.thread_dead, times=8, rig="patched",
     ),
     FaultRow(
-        "identity-swap", "Identity swap, two robots close", "crossings, brushes and pursuits, markers unreadable meanwhile",
+        "identity-swap", "Identity swap, two robots close", "crossings, brushes, pursuits; markers unreadable",
         {"undetected swaps": TIMES()}, rows_alone.identity_swap, times=1000, rig="",
     ),
     FaultRow(
         "lossy-network", "Loss, duplicates, reordering, delay",
-        "10 % of what goes to and from the boards lost, as much doubled, as much late by up to 50 ms",
+        "10 % of the boards' traffic each, late by up to 50 ms",
         {"RMS error over that without": Measure(1.5, "")}, rows_alone.lossy_network, times=5, rig="",
     ),
     FaultRow(
         "not-finite", "NaN, infinity, outside the pool",
-        "a robot that flies is given poses, plans, sensors and obstacles of any numbers, past the decoders",
+        "in poses, plans, sensors, obstacles, past the decoders",
         {"bad pulses, or beliefs": TIMES()}, rows_alone.not_finite, times=1000, rig="",
     ),
     FaultRow(
@@ -214,22 +212,22 @@ ROWS: tuple[FaultRow, ...] = (
     ),
     FaultRow(
         "strangers-knock", "Strangers at the station's port",
-        "no certificate: 12 or 200 connections a second, 900 half open, or 50 handshakes a second, for 8 s and on",
+        "no certificate: 12 or 200 connections a second, 900 half open, 50 handshakes a second",
         {"stop answered, this machine": SECONDS(1.0), "stop answered": SECONDS(2.0), "agent joins": SECONDS(2.0)},
         rows_strangers.strangers_knock, times=12, rig="",
     ),
     FaultRow(
         "members-flood", "Holders of certificates at the station's port",
-        "up to 1000 sessions of a revoked or of a viewer's certificate, or 200 handshakes with it and no more, for 8 s and on",
+        "up to 1000 sessions of a revoked or viewer's certificate, or 200 handshakes",
         {"stop answered, this machine": SECONDS(1.0), "stop answered": SECONDS(2.0), "agent joins": SECONDS(2.0)},
         rows_strangers.members_flood, times=12, rig="",
     ),
     FaultRow(
-        "old-traffic", "Replay of old traffic", "recorded orders sent again, live and after restarts of either side",
+        "old-traffic", "Replay of old traffic", "recorded orders, live and after restarts",
         {"obeyed": TIMES()}, rows_alone.old_traffic, times=5, rig="",
     ),
     FaultRow(
-        "bad-configuration", "Bad configuration", "a key, drawn from all, with a value that cannot be; a real process each",
+        "bad-configuration", "Bad configuration", "an impossible value of any key, in a real process",
         {"refused after": SECONDS(2.0), "started, or not explained": TIMES()}, rows_alone.bad_configuration, rig="",
     ),
 )  # fmt: skip

@@ -13,6 +13,11 @@ EQUIVALENTS = [
         "memmove(rules->text, rules->text + 1, sizeof rules->text - sizeof rules->text[1]);",
         "all texts have one size",
     ),
+    ("rules.c", "if (trimmed_us < pin->lowest_us)", "if (trimmed_us <= pin->lowest_us)", "the greater of two equal ones"),
+    (
+        "rules.c", "return trimmed_us < pin->highest_us ? trimmed_us : pin->highest_us;",
+        "return trimmed_us <= pin->highest_us ? trimmed_us : pin->highest_us;", "the smaller of two equal ones",
+    ),
     (
         "rules.c", "return !rules->has_command || (now_us > rules->command_at_us && now_us - rules->command_at_us > age_us);",
         "return !rules->has_command || (now_us >= rules->command_at_us && now_us - rules->command_at_us > age_us);",
@@ -74,8 +79,8 @@ EQUIVALENTS = [
         "store.c", "parameters_standard(&memory->settings.parameters);", ";",
         "parameters that are all 0 are not valid: the board takes those of the build",
     ),
-    ("store.c", "write16(store->record + COUNT_AT, ++store->count[area]);",
-     "write16(store->record - COUNT_AT, ++store->count[area]);", "COUNT_AT is 0"),
+    ("store.c", "write16(record + COUNT_AT, ++store->count[area]);",
+     "write16(record - COUNT_AT, ++store->count[area]);", "COUNT_AT is 0"),
     ("store.c", "memset(store->record, 0, ZEROS_SLOT);", "memset(store->record, 1, ZEROS_SLOT);", "bytes that nobody reads"),
     ("store.c", "memset(store->record, 0, ZEROS_SLOT);", ";", "bytes that nobody reads"),
     ("store.c", "memset(store->record, 0, sizeof store->record);", "memset(store->record, 1, sizeof store->record);",

@@ -92,12 +92,12 @@ def load(path: Path) -> ctypes.CDLL:
         "library_cut": (None, [ctypes.c_uint32, ctypes.c_uint8]),
         "library_store_bytes": (ctypes.c_uint32, []),
         "library_busy": (None, [ctypes.c_bool]),
-        "board_step": (None, [board, time_us, ctypes.POINTER(CReading)]),
+        "board_measure": (None, [board, time_us, ctypes.POINTER(CReading)]),
         "library_boot": (None, [board, board, ctypes.c_uint8]),
         "library_put": (None, [board, ctypes.c_char_p, u16, time_us]),
         "library_pass": (None, [board, board, time_us]),
         "library_parameter": (ctypes.c_float, [board, ctypes.c_int]),
-        "rules_override": (None, [board, CPeer, ctypes.c_void_p, time_us]),
+        "rules_override": (ctypes.c_bool, [board, CPeer, ctypes.c_void_p, time_us]),
         "rules_arm": (ctypes.c_int, [board, ctypes.c_bool, time_us]),
         "rules_change": (ctypes.c_int, [board, ctypes.c_int, ctypes.c_float]),
         "rules_take_key": (ctypes.c_bool, [board]),
@@ -145,8 +145,10 @@ class FirmwareBoard:
 
     # --- the rules alone
 
-    def override(self, sender: Peer, pulses_us: Sequence[int], now_ns: int) -> None:
-        self._library.rules_override(self._board, CPeer(*sender), (ctypes.c_uint16 * CHANNELS)(*pulses_us), now_ns // 1000)
+    def override(self, sender: Peer, pulses_us: Sequence[int], now_ns: int) -> bool:
+        """True if it was taken."""
+        pulses = (ctypes.c_uint16 * CHANNELS)(*pulses_us)
+        return bool(self._library.rules_override(self._board, CPeer(*sender), pulses, now_ns // 1000))
 
     def arm(self, wanted: bool, now_ns: int) -> int:
         return int(self._library.rules_arm(self._board, wanted, now_ns // 1000))

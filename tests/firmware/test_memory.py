@@ -147,6 +147,27 @@ def test_an_override_behind_orders_that_wait_is_taken_at_once(library: ctypes.CD
     assert board.now_us - begun_us <= PARAMETERS.age_ns // 1000 + BYTE_US
 
 
+def test_an_order_does_not_wait_for_settings_that_are_being_written(library: ctypes.CDLL, keyed: bytes) -> None:
+    """They take 256 bytes, the timestamps of an order 16, of which a write may just have begun."""
+    board = StoredBoard(library, keyed)
+    computer = OrderSender(board, 10_000)
+    computer.say(computer.client.set("SLEW_US_S", 4321.0))
+    board.go(40)  # the order is obeyed, and its settings are being written
+    assert board.value("SLEW_US_S") == 4321.0
+    computer.say(computer.link.pulses(list(NEUTRAL)))
+    board.go()
+    computer.say(computer.link.arm(True))
+    board.go(2 * SMALL + 2)
+    assert board.armed
+    board.go(SLOT_BYTES)
+    again = StoredBoard(library, board.eeprom)
+    assert again.value("SLEW_US_S") == 4321.0
+    for frame in computer.sent:
+        again.put(frame)
+        again.go(25)
+        assert not again.armed
+
+
 def test_a_disarming_withdraws_an_arming_that_waits(library: ctypes.CDLL, keyed: bytes) -> None:
     board = StoredBoard(library, keyed)
     computer = OrderSender(board, 10_000)
@@ -223,7 +244,7 @@ def settled(library: ctypes.CDLL, eeprom: bytes, excess_m: float, rate_radps: fl
     reading = CReading.of(Reading(0.0, rate_radps, (0.0, 0.0, -STANDARD_GRAVITY_MPS2), excess_m), 12.0)
     for count in range(1, 80):
         board.now_us = count * 20_000
-        library.board_step(board._board, board.now_us, ctypes.byref(reading))  # the C struct, which no method passes on
+        library.board_measure(board._board, board.now_us, ctypes.byref(reading))  # the C struct, which no method passes on
         library.library_busy(count % 2 == 0)  # a byte is not yet written
         board.go(1)
     library.library_busy(False)

@@ -61,8 +61,9 @@ def call(draw: random.Random, machine: BoardStateMachine, board: FirmwareBoard, 
     if kind == "override":
         sender = COMPUTER if draw.random() < 0.95 else draw.choice([(2, 191), (1, 190), (255, 190)])
         outputs = pulses(draw, machine)
+        refused = machine.overrides_refused
         machine.override(sender, outputs, now_ns)
-        board.override(sender, outputs, now_ns)
+        assert board.override(sender, outputs, now_ns) is (machine.overrides_refused == refused)
     elif kind in ("arm", "disarm"):
         assert board.arm(kind == "arm", now_ns) == machine.arm(kind == "arm", now_ns)
     elif kind == "change":

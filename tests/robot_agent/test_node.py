@@ -18,7 +18,8 @@ from robot_agent.host.step_clock import StepClock
 from shoal.bus.bus import Bus, Inbox
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
-from shoal.mavlink.board_port import open_link
+from shoal.mavlink.agent_link import ACCEPTED, ARM_DISARM
+from shoal.mavlink.board_port import Link, open_link
 from shoal.messages import topics
 from shoal.messages.codec import FARTHEST_NS, LATEST_NS, Header, encode
 from shoal.messages.live_gains import tuning
@@ -40,6 +41,7 @@ from shoal.messages.topics import Qos
 from shoal.runtime.runtime import Stop, wait
 from shoal.runtime.version import code
 from sim_bridge.sil.ports import free_port
+from sim_bridge.thruster_board.board_link import BoardLink
 from tests.robot_agent.autopilot import Autopilot
 from tests.robot_agent.obedient_board import Board
 
@@ -95,6 +97,42 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
         "thruster board: /dev/none: not there; is the board plugged in, and powered?",
         "told to stop; neutral and disarm sent to the thruster board, which has not said within 0.25 s that it is disarmed",
     ]
+
+
+class AnswersLater(Link):
+    """A board that takes a request to arm, and of the requests to disarm only what `obeys` says."""
+
+    trouble = advice = ""
+
+    def __init__(self, obeys: bool) -> None:
+        self._link, self._obeys, self._reads = BoardLink(1), obeys, 0
+
+    def send(self, data: bytes) -> None: ...
+    def wait(self, timeout_s: float) -> None: ...
+    def close(self) -> None: ...
+
+    def read(self) -> bytes:
+        self._reads += 1
+        acknowledged = self._link.acknowledge((1, 191), ARM_DISARM, ACCEPTED)
+        if self._reads == 1:
+            return acknowledged  # to the request to arm; the heartbeat beside it is lost
+        obeyed = acknowledged + self._link.heartbeat(False, True)
+        return obeyed if self._obeys and self._reads == 10 else b""
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_a_program_that_ends_just_after_arming_does_not_take_that_answer_for_disarmed(
+    obeys: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    stop, link = Stop(install=False), AnswersLater(obeys)
+    robot = node.AgentNode(POOL, 1, Bus(MemoryTransport(MemoryHub())), link, stop)
+    robot.mavlink.receive(BoardLink(1).heartbeat(False, True), 0)
+    link.send(robot.mavlink.arm(True))
+    stop.request()
+    with caplog.at_level("INFO"):
+        robot.run()
+    said = "says that it is disarmed" if obeys else "has not said within 0.25 s that it is disarmed"
+    assert said in caplog.text
 
 
 @dataclass

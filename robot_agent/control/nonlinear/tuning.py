@@ -25,9 +25,8 @@ LAG_SHARE = 0.3  # of the thrusters' lag that counts as delay: the plan knows it
 ROUGH = 0.05  # of the rate limits that noise alone may use
 TRUST = 2.0  # a thrust that is known to 50 % halves the bandwidth
 SHORTEST_S, LONGEST_S = 6.0, 12.0  # horizon: flown from 5 to 14 s; shorter ones do not find the turn round, longer are coarse
-TILT_RAD = 0.35  # most pitch by thrust alone: at 0.8 rad a hull rose by 0.24 m within 2 s
+TILT_RAD = 0.35  # most pitch by thrust alone, and in steady flight: at 0.8 rad a hull rose by 0.24 m within 2 s
 GRAVITY_MPS2 = 9.81
-UPRIGHT_SHARE = 0.7  # of the righting moment that the water may take: thrust then pitches a hull three times as far as at rest
 STEP_S = 0.2  # longest step of the integration; 1/slope of the drag for light robots
 TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
 SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
@@ -83,12 +82,17 @@ def horizon_s(vehicle: Vehicle) -> float:
 
 
 def fastest_mps(vehicle: Vehicle) -> float:
-    """The file's greatest speed, or what the hull stands: water that passes a pitched hull pitches it farther, by a moment of
-    (m_w - m_u) v^2 per radian, where the heave mass m_w is the larger one."""
-    heavier_kg = vehicle.mass.heave_kg - vehicle.mass.surge_kg
-    if vehicle.righting is None or heavier_kg <= 0.0:
-        return vehicle.limits.speed_mps
-    return min(vehicle.limits.speed_mps, math.sqrt(UPRIGHT_SHARE * vehicle.righting.moment_nm / heavier_kg))
+    """The file's greatest speed, or that at which steady flight pitches the hull by TILT_RAD: thrust as large as the drag
+    (l + q v) v, below the centre, and the water by (m_w - m_u) v^2 per radian, against the righting moment."""
+    righting, limit_mps = vehicle.righting, vehicle.limits.speed_mps
+    if righting is None:
+        return limit_mps
+    square = vehicle.drag.quadratic[0] * righting.thrusters_below_m
+    square += TILT_RAD * (vehicle.mass.heave_kg - vehicle.mass.surge_kg)
+    linear, most = vehicle.drag.linear[0] * righting.thrusters_below_m, TILT_RAD * righting.moment_nm
+    if (linear + square * limit_mps) * limit_mps <= most:
+        return limit_mps
+    return 2.0 * most / (linear + math.sqrt(linear**2 + 4.0 * square * most))
 
 
 def agility(vehicle: Vehicle) -> Agility:
@@ -141,13 +145,13 @@ def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, manner: M
     }
     rate = np.array([of[axis] for axis in planar_axes(vehicle)])
     end_s, lead_s = END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness
-    return Weights(rate, manner.turning_m**2, end_s, lead_s, manner.facing_s, entry, manner.is_steered)
+    return Weights(rate, manner.turning_m**2, end_s, lead_s, manner.facing_s, entry, manner.is_steered, fastest_mps(vehicle))
 
 
 def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
     """Weights of heave."""
     rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
-    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 0.0, 1.0, False)
+    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 0.0, 1.0, False, math.inf)
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:

@@ -1,5 +1,7 @@
 """Another experiment's path, another form, another order of robots: before a start, from a hold, and refused with a reason."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.planning.segment import first_segment, sample
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
+from shoal.config.loader import parse_toml
 from shoal.errors import ConfigError
 from shoal.messages.messages import CommandKind, Mode, Progress
 from tests.groundstation.mission.simulated_fleet import SimulatedFleet
@@ -90,6 +93,18 @@ def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: 
     until(fleet, MissionState.DONE, 90.0)
     for robot, trajectory in first_segment(flown).trajectories.items():
         assert np.allclose(fleet.robots[robot].eta[:3], trajectory.eta[0, :3], atol=0.05)
+
+
+def test_a_request_reads_its_experiment_once(fleet: SimulatedFleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = []
+
+    def parse(text: str, source: str) -> dict[str, Any]:
+        texts.append(text)
+        return parse_toml(text, source)
+
+    monkeypatch.setattr("shoal.config.experiment.parse_toml", parse)
+    assert ask(fleet, CommandKind.PATH, other()) == ""
+    assert texts == [other()]
 
 
 @pytest.mark.parametrize("holds", [False, True])

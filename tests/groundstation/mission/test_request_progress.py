@@ -1,5 +1,6 @@
 """Progress of operators' requests, as pages and terminals are told."""
 
+import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,11 +15,48 @@ from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import TRANSITIONS, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
-from shoal.messages.messages import Command, CommandKind, Mode, Outcome, Progress, Reply, Trajectory, Tuning
+from shoal.messages.messages import (
+    Command,
+    CommandKind,
+    DriveVelocity,
+    Mode,
+    Outcome,
+    Progress,
+    Reply,
+    Trajectory,
+    Tuning,
+)
 from tests.groundstation.mission.mission_run import MissionRun
-from tests.groundstation.mission.simulated_fleet import PLACES, THREE, SimulatedFleet, an_experiment
+from tests.groundstation.mission.simulated_fleet import CIRCLE, PLACES, THREE, TWO, Driving, SimulatedFleet, an_experiment
 
 FLOWN, WANTED = Tuning("flown"), Tuning("wanted")
+AHEAD = DriveVelocity(surge_mps=0.1)
+IN_WATER = ((0.8, 0.4),)  # for the formation's centre
+ELSEWHERE = ((0.0, 1.9),)  # for one robot
+ONE = (CommandKind.ARM, CommandKind.HOLD, CommandKind.DISARM, CommandKind.GO, CommandKind.DRIVE)  # requests of one robot
+# requests one after another, each of the fleet or of robot 1; another one takes the place of the last
+TAKEN_OVER: list[tuple[tuple[CommandKind, int], ...]] = [
+    ((CommandKind.LOAD, 0),),
+    ((CommandKind.ARM, 0),),
+    ((CommandKind.START, 0),),
+    ((CommandKind.TEST, 0),),
+    ((CommandKind.DISARM, 0),),
+    ((CommandKind.STOP, 0),),
+    ((CommandKind.STOP, 0), (CommandKind.CLEAR_STOP, 0)),
+    ((CommandKind.START, 0), (CommandKind.HOLD, 0)),
+    ((CommandKind.START, 0), (CommandKind.HOLD, 0), (CommandKind.RESUME, 0)),
+    ((CommandKind.START, 0), (CommandKind.GO, 0)),
+    ((CommandKind.START, 0), (CommandKind.FORMATION, 0)),
+    ((CommandKind.FORMATION, 0),),
+    ((CommandKind.START, 0), (CommandKind.RETURN, 0)),
+    ((CommandKind.START, 0), (CommandKind.HOLD, 1), (CommandKind.REJOIN, 0)),
+    ((CommandKind.START, 0), (CommandKind.TUNE, 0)),
+    ((CommandKind.ARM, 1),),
+    ((CommandKind.START, 0), (CommandKind.HOLD, 1)),
+    ((CommandKind.ARM, 1), (CommandKind.DISARM, 1)),
+    ((CommandKind.ARM, 1), (CommandKind.GO, 1)),
+    ((CommandKind.ARM, 1), (CommandKind.DRIVE, 1)),
+]
 
 
 @dataclass
@@ -185,6 +223,82 @@ def test_another_request_takes_the_place_of_one_under_way_and_the_same_is_one() 
     assert lab.outcome(first).reason == "stop was asked for instead"
     assert lab.progress(first) is Progress.FAILED
     assert lab.ask(CommandKind.STOP) == stop
+
+
+def ask_fleet(fleet: SimulatedFleet, order: CommandKind, only: int, value: float = 0.02) -> int:
+    """The number of a request; 0 if it is refused."""
+    core, now_ns = fleet.core, fleet.now_ns
+    if order is CommandKind.TUNE:
+        return core.request_gains({"controller.nmpc.turning_m": value}, False, fleet.fleet, now_ns)[1]
+    if order is CommandKind.DRIVE:
+        refused = core.drive(only, AHEAD, fleet.fleet, now_ns)
+        fleet.driving = {} if refused else {only: Driving(AHEAD, now_ns + 500_000_000, lets_go=True)}
+        return 0 if refused else core.requests.recent[-1].request
+    via = () if order is not CommandKind.GO else ELSEWHERE if only else IN_WATER
+    return core.request(order, fleet.fleet, now_ns, via, only, "line 1.2" if order is CommandKind.FORMATION else "")[1]
+
+
+def cycles_until_done(fleet: SimulatedFleet, number: int) -> int:
+    cycles = 0
+    while (outcome := fleet.core.requests.outcome(number)) is not None and outcome.progress is Progress.UNDER_WAY:
+        fleet.step()
+        cycles += 1
+    assert outcome is not None and outcome.progress is Progress.DONE, outcome
+    return cycles
+
+
+@pytest.mark.parametrize("asked", TAKEN_OVER, ids=lambda asked: " ".join(f"{o.name}{r or ''}" for o, r in asked))
+def test_what_was_done_before_another_request_took_over_is_done(asked: tuple[tuple[CommandKind, int], ...]) -> None:
+    """Whatever the other one is, and also when the station has not looked since the robots did it."""
+    circle = (CommandKind.REJOIN, 0) in asked  # on which robots may come back at any time; a GO is for a path of places
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, CIRCLE if circle else PLACES))
+    same = {id(fleet.experiment): fleet.experiment}
+    fleet.run(1.0)
+    for before in asked[:-1]:
+        cycles_until_done(fleet, ask_fleet(fleet, *before))
+    order, only = asked[-1]
+    number = ask_fleet(fleet, order, only)
+    needed = cycles_until_done(copy.deepcopy(fleet, dict(same)), number)
+    for _ in range(needed - 1):
+        fleet.step()
+    outcome = fleet.core.requests.outcome(number)
+    assert outcome is not None and outcome.progress is Progress.UNDER_WAY
+    looks = {"follow": lambda *_: ()} | ({"step": lambda *_: ()} if only else {})  # a robot's task looks in the step
+    vars(fleet.core).update(looks)
+    fleet.step()
+    for name in looks:
+        delattr(fleet.core, name)
+
+    others = [(goal, 0) for goal in (*GOALS, CommandKind.TUNE)] + [(one, robot) for one in ONE for robot in (1, 2)]
+    taken = []
+    for other in others:
+        twin = copy.deepcopy(fleet, dict(same))
+        if ask_fleet(twin, *other, value=0.04):
+            taken.append(other)
+            twin.step()
+            outcome = twin.core.requests.outcome(number)
+            assert outcome is not None and outcome.progress is Progress.DONE, f"{other[0].name} {other[1]}: {outcome}"
+    assert (CommandKind.STOP, 0) in taken and (CommandKind.END, 0) in taken and len(taken) > 2
+
+
+def test_clear_stop_asked_with_stop_leaves_stop_done() -> None:
+    """All robots stand still by an earlier STOP; a person presses STOP once more, and at once CLEAR_STOP."""
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, PLACES))
+    fleet.run(1.0)
+    cycles_until_done(fleet, ask_fleet(fleet, CommandKind.STOP, 0))
+    again = ask_fleet(fleet, CommandKind.STOP, 0)
+    ask_fleet(fleet, CommandKind.CLEAR_STOP, 0)
+    outcome = fleet.core.requests.outcome(again)
+    assert outcome is not None and outcome.progress is Progress.DONE and outcome.confirmed == (1, 2)
+
+
+def test_a_run_that_another_request_goes_on_with_was_not_ended() -> None:
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, PLACES))
+    fleet.run(1.0)
+    end, _ = ask_fleet(fleet, CommandKind.END, 0), ask_fleet(fleet, CommandKind.LOAD, 0)
+    fleet.run(0.5)
+    outcome = fleet.core.requests.outcome(end)
+    assert outcome is not None and outcome.progress is Progress.FAILED and not fleet.core.ended
 
 
 def test_a_silent_robot_does_not_confirm_disarm() -> None:

@@ -17,7 +17,7 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import BoardReading, CommandKind, Mode, Plan, Preview, RobotState, StepTiming, Trajectory
+from shoal.messages.messages import BoardReading, CommandKind, Event, Mode, Plan, Preview, RobotState, StepTiming, Trajectory
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
 
 SECOND = 1_000_000_000
@@ -202,6 +202,38 @@ def test_alarms_are_those_that_were(tmp_path: Path) -> None:
 
 
 KINDS = {"link", "clock", "plan"}
+
+
+@pytest.mark.parametrize("behind_s", [0.0, 20.0, -20.0])
+def test_a_line_of_an_earlier_run_is_shown_at_its_own_time(tmp_path: Path, behind_s: float) -> None:
+    """A robot's program outlives a station's, and the next station gets its lines of before. By its own clock they may be new;
+    and a line that a robot keeps in a gap of its radio is shown where it belongs, too."""
+    (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+    recorder, behind_ns, zero_ns = Recorder(tmp_path / "run.mcap", "", {}), round(behind_s * 1e9), 10**18
+
+    def put(session: int, source: str, number: int, since_s: float, arrived_s: float) -> None:
+        header = Header(session, number, zero_ns + round(since_s * 1e9) - (behind_ns if session == 1 else 0))
+        event = Event(2, source, f"{source} at {since_s:g}")
+        recorder.put(topics.EVENT, "shoal/event", header, encode(event), zero_ns + round(arrived_s * 1e9))
+
+    put(7, "groundstation", 1, 0.0, 0.001)
+    for number, since_s in enumerate((-3600.0, -20.0, 0.7), start=1):
+        put(1, "agent-1", number, since_s, 0.9)
+    for k in range(20, 300):
+        if not 100 <= k < 200:
+            header = Header(1, k + 1, zero_ns + k * 50_000_000 - behind_ns)
+            recorder.put(
+                topics.STATE, "shoal/robot/1/state", header, encode(RobotState()), zero_ns + k * 50_000_000 + 2_000_000
+            )
+    put(1, "agent-1", 5, 7.0, 10.1)
+    put(1, "agent-1", 6, 14.0, 14.1)
+    put(7, "groundstation", 2, 14.2, 14.201)
+    recorder.close()
+    with ReplayBackend(tmp_path) as backend:
+        notes = {note["text"]: note["time_s"] for note in backend.notes()}
+    expected = {"groundstation at 0": 0.0, "agent-1 at -3600": -3600.0, "agent-1 at -20": -20.0, "agent-1 at 0.7": 0.9}
+    expected |= {"agent-1 at 7": 7.0, "agent-1 at 14": 14.1, "groundstation at 14.2": 14.2}
+    assert notes == pytest.approx(expected, abs=0.01)
 
 
 def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> None:

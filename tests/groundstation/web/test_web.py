@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import os
 import re
 from dataclasses import replace
 from itertools import combinations
@@ -398,6 +399,20 @@ def test_an_edit_of_another_kind_of_path_is_refused_by_key() -> None:
     assert "path.points_m" in experiment_editor.attempt(POOL, protocol.Edit(points_m=[(0.0, 0.0), (1.0, 0.0)]))["problems"][0]
     assert "robot 7" in experiment_editor.attempt(POOL, protocol.Edit(nodes_m={7: (0.0, 0.0, 0.0)}))["problems"][0]
     assert experiment_editor.attempt(STRAIGHT, protocol.Edit(scale=-1.0))["ok"] is False
+
+
+def test_only_a_changed_file_of_an_experiment_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "experiments" / "mine.toml"
+    file.parent.mkdir()
+
+    def loadable(ids: str, stamp_ns: int) -> bool:
+        file.write_text("".join(f"[[robots]]\nid = {robot}\n" for robot in ids))
+        os.utime(file, ns=(stamp_ns, stamp_ns))
+        return "experiments/mine.toml" in experiment_editor.loadable((4, 5))
+
+    assert loadable("45", 10**9) and not loadable("46", 2 * 10**9)
+    assert loadable("45", 3 * 10**9) and loadable("46", 3 * 10**9)  # a file that looks the same is not opened
 
 
 def test_an_edit_is_kept_under_a_new_name_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

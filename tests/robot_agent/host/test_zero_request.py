@@ -10,13 +10,15 @@ import pytest
 from typer.testing import CliRunner
 
 from robot_agent.__main__ import cli
-from robot_agent.host import zero_request
+from robot_agent.host import board_zero, zero_request
 from robot_agent.host.board_zero import boot_id, boot_time_s
 from robot_agent.node import AgentNode, StepTime
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.mavlink.agent_link import Telemetry
 from shoal.runtime.runtime import Stop
 from tests.robot_agent.host.restarted_board import POOL, STEP_NS, RestartedBoard
+from tests.robot_agent.host.test_board_zero import Switched
 
 
 @pytest.fixture
@@ -120,3 +122,37 @@ def test_without_a_program_the_command_tells_the_board_itself(
     confirm(agent_toml, tmp_path / "state")
     assert not wires.board.zero.is_in_question
     assert list((tmp_path / "state").iterdir()) == []
+
+
+def test_a_zero_confirmed_without_a_program_is_in_doubt_again_once_the_board_restarts_under_water(
+    agent_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board that reports no restarts, 0.3 m deep, with a right zero, and a file of before that says otherwise."""
+    board_zero.write_record(tmp_path, board_zero.ZeroRecord("earlier", 100.0, 50.0, 0.8, 0.8), durable=False)
+    monkeypatch.setattr(zero_request, "open_board_link", lambda config: (Switched(zero_m=0.0), None))
+    monkeypatch.setattr(zero_request, "WITHIN_S", 1.0)
+    confirm(agent_toml, tmp_path)
+    record = board_zero.read_record(tmp_path)
+    assert record is not None
+    assert record.zero_m == 0.0 and record.depth_m == pytest.approx(0.3, abs=0.01)
+    on_ms = round((boot_time_s() - record.board_on_s) * 1e3)
+    same = board_zero.BoardZero(tmp_path).note(Telemetry(board_ms=on_ms, depth_m=0.3))
+    assert same is None  # the zero that was confirmed
+    restarted = board_zero.BoardZero(tmp_path, now_s=lambda: boot_time_s() + 60.0).note(Telemetry(board_ms=5000))
+    assert restarted == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_zero_is_not_kept_with_a_depth_that_the_board_has_not_reported(
+    agent_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its pressure sensor is dead."""
+    before = board_zero.ZeroRecord("earlier", 100.0, 50.0, 0.8, 0.8)
+    board_zero.write_record(tmp_path, before, durable=False)
+    board = Switched(zero_m=0.0)
+    monkeypatch.setattr(type(board), "read", lambda self: self._link.heartbeat(False, True) + self._answers)
+    monkeypatch.setattr(zero_request, "open_board_link", lambda config: (board, None))
+    monkeypatch.setattr(zero_request, "WITHIN_S", 0.3)
+    monkeypatch.setattr(zero_request, "LOOK_S", 0.02)
+    done = CliRunner().invoke(cli, ["confirm-zero", "--config", str(agent_toml), "--state", str(tmp_path)])
+    assert done.exit_code == 1 and "reports no depth" in f"{done.output}{done.exception}"
+    assert board_zero.read_record(tmp_path) == before

@@ -21,7 +21,7 @@ from groundstation.gate.gate import Gate
 from robot_agent.__main__ import cli
 from robot_agent.host.config import AgentConfig, RealtimeConfig, load_agent_config, merge_config
 from robot_agent.preflight import board as check_shell
-from robot_agent.preflight import findings, network
+from robot_agent.preflight import findings, network, thrusters
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from robot_agent.preflight.rehearsal import rehearse
 from robot_agent.preflight.thrusters import judge
@@ -38,6 +38,7 @@ from shoal.mavlink import board_address
 from shoal.messages import topics
 from shoal.messages.messages import Mode, Solve, StationHeartbeat, required
 from sim_bridge.sil.ports import free_base_port, free_port
+from sim_bridge.thruster_board.board_link import Arm
 from sim_bridge.thruster_board.sensor_zero import BoardStart
 from tests.robot_agent import obedient_board
 from tests.robot_agent.autopilot import Autopilot
@@ -290,6 +291,22 @@ def test_thrusters_are_turned_only_on_a_board_that_says_it_is_disarmed(
     assert findings["thruster board"].verdict is (CheckVerdict.OK if turns else CheckVerdict.WARN)
     assert turned == (["pool"] if turns else [])
     assert ("thrusters" in findings) is not turns
+
+
+def test_a_board_that_may_have_armed_unheard_is_told_to_disarm_more_than_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says that it is disarmed, and has answered nothing: the last word may be of before it was asked to arm."""
+    asked: list[bool] = []
+
+    class Mute(obedient_board.Board):
+        def send(self, data: bytes) -> None:
+            asked.extend(event.arm for _, event in self._link.receive(data, 0) if isinstance(event, Arm))
+
+    monkeypatch.setattr(thrusters, "open_board_link", lambda board: (Mute(), None))
+    monkeypatch.setattr(thrusters, "ARM_WITHIN_S", 0.3)
+    board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
+    (finding,) = thrusters.turn_thrusters(load_experiment("pool"), board)
+    assert finding.detail.startswith(thrusters.NOT_ARMED)
+    assert asked.count(True) > 1 and asked.count(False) > 1, asked
 
 
 def test_an_agent_whose_presence_is_told_late_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -93,6 +93,25 @@ def test_a_dry_run_turns_nothing_and_says_what_it_left_out() -> None:
     assert skipped == {rule.name for rule in RULES if rule.spins or rule.signed}
 
 
+class HalfFrameWire(SteppedWire):
+    """A wire that is opened in the middle of a frame, which a start byte is in."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._before = bytes([0xFD, 20, 0xFF])
+
+    def receive(self, until_ns: int) -> bytes:
+        before, self._before = self._before, b""
+        return before + super().receive(until_ns)
+
+
+def test_a_link_that_is_opened_in_the_middle_of_a_frame_passes() -> None:
+    probe = BoardProbe(HalfFrameWire(), 1)
+    rules = [rule for rule in RULES if rule.name in {"parameters", "telemetry"}]
+    assert failures({o.rule: o for o in examine(probe, False, rules)}) == set()
+    assert probe.computer.telemetry.bad_frames == 1
+
+
 class LossyWire(SteppedWire):
     """A wire that loses the n-th PARAM_SET, for each n of `lost`."""
 

@@ -1,12 +1,15 @@
 """The lines that the monitor writes into a log while robots fly."""
 
+from io import StringIO
+
 import numpy as np
+from rich.console import Console
 
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import ALONE, Control, Estimate, Event, Mode, RobotState, StationHeartbeat
+from shoal.messages.messages import ALONE, BoardReading, Control, Estimate, Event, Mode, RobotState, StationHeartbeat
 from sim_bridge.sil.monitor import Monitor
 
 
@@ -20,6 +23,17 @@ def line(name: str, states: dict[int, RobotState], mission: str = "RUNNING", rea
     for robot, state in states.items():
         robots.publish(topics.STATE, state, 1, robot)
     return monitor.line()
+
+
+def test_a_battery_that_no_board_has_reported_is_not_shown_as_empty() -> None:
+    hub = MemoryHub()
+    robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
+    console = Console(width=200, record=True, file=StringIO())
+    for board in (None, BoardReading(), BoardReading(battery_v=12.4, battery_reports=1)):
+        robots.publish(topics.STATE, RobotState(board=board), 1, 1)
+        console.print(monitor.render())
+    text = console.export_text()
+    assert "0.0 V" not in text and "12.4 V" in text
 
 
 def tracking(off_m: float, fault: str = "") -> RobotState:

@@ -12,16 +12,16 @@ export type CameraHealth = "ABSENT" | "OK" | "FROZEN" | "BLACK" | "WRONG_SIZE";
 /** The result of one control step, as the robot knows it. The header's stamp is the step's instant. */
 export interface RobotState {
   mode: Mode;
-  fault: string; // Reason why the robot holds, stopped or failed; empty if there is none.
-  guidance: Guidance; // The part of the guidance that decides the robot's motion.
+  fault: string; // Reason why the robot holds, stopped or failed.
+  guidance: Guidance; // What decides the robot's motion.
   tuning_id: string; // Id of the gains in use.
   trajectory_s: number; // 0 until it is started.
   trajectory_id: string;
   pulse_us: number[]; // Widths sent to the board: 4 thrusters and 4 ankles, or 8 thrusters.
   track: Track;
   heard: number[]; // Neighbours whose plans are fresh.
-  estimate: Estimate | null; // None until the robot knows its place; only with it there is a plan.
-  control: Control | null; // None while the thrusters are at neutral because the robot has no goal.
+  estimate: Estimate | null; // None until the robot knows its place.
+  control: Control | null; // None while the robot has no goal: neutral.
   board: BoardReading | null; // Depth less the robot's `depth_offset_m`; None until it was heard.
   timing: StepTiming;
 }
@@ -30,7 +30,7 @@ export interface RobotState {
 export interface Estimate {
   eta: Packed; // Pose.
   nu: Packed; // Velocity over ground.
-  disturbance: Packed; // Acceleration that the nominal model in still water does not explain.
+  disturbance: Packed; // Acceleration that the model in still water does not explain.
   drag_ratio: number | null; // None if it is not learned.
   thrust_ratio: number | null; // None if it is not learned.
 }
@@ -41,8 +41,8 @@ export interface Control {
   eta_command: Packed; // Pose given to the controller: yaw includes crab angle and correction.
   wrench: Packed; // Within the limits.
   wrench_step: Packed; // Change of the wrench in this step.
-  wrench_wanted: Packed; // Result of the control law before magnitude and rate were limited.
-  wrench_delivered: Packed; // Wrench after allocation and limits, by the nominal thrust curve.
+  wrench_wanted: Packed; // The law's result before limits.
+  wrench_delivered: Packed; // After allocation and limits, by the nominal curve.
   solve: Solve;
   iterations: number;
   slack_m: number; // Depth by which the plan enters the space of another robot.
@@ -59,7 +59,7 @@ export interface BoardReading {
   armed: boolean;
   echo_us: number[];
   loss: number; // Fraction of the board's messages lost in the last 5 s.
-  objection: string; // Reason not to arm that the robot's program found in the board's parameters.
+  objection: string; // Reason not to arm, from the board's parameters.
   zero_in_question: boolean; // A person has to confirm the board's depth zero.
 }
 
@@ -89,23 +89,23 @@ export interface Pose {
 /** The state of the localizer, once a frame. */
 export interface LocalizerStatus {
   camera: CameraHealth;
-  frames: number; // Pictures processed since the start.
-  dropped: number; // Pictures not processed, because a newer one had come.
+  frames: number; // Pictures processed.
+  dropped: number; // Pictures left out for a newer one.
   frame_ms: number; // Processing time of the last picture.
   frame_age_ms: number; // Time from the exposure to the publication.
-  message: string; // The trouble in words, for people; empty if there is none.
+  message: string; // The trouble in words.
   robots: number[]; // Robots whose poses in this picture are published.
-  obstacles_ns: number; // Stamp of the newest Obstacles published before those poses; -1: none yet.
-  failed: number; // Pictures skipped since the start, because their processing raised an error.
-  out: string[]; // Of several cameras, the names of those that give no poses now.
-  moved: boolean; // Whether check marks show that the camera was moved.
+  obstacles_ns: number; // Stamp of the newest Obstacles before those poses; -1: none yet.
+  failed: number; // Pictures skipped after an error.
+  out: string[]; // Of several cameras, those that give no poses now.
+  moved: boolean; // Check marks show that the camera was moved.
 }
 
 /** All obstacles that the camera sees in the pool, in one message: an obstacle that is not in it has gone. */
 export interface Obstacles {
   ids: number[]; // Kept while the obstacle is tracked; none is used twice.
   outline: Packed; // Corners x, y in the pool frame, m.
-  velocity: Packed; // Velocity over the floor in the pool frame, m/s.
-  depth_m: number; // Assumed depth: that of the robots' path, where an obstacle would be in their way.
-  watched: number; // Share of the pool that can be judged, 0 to 1. The list says nothing about the rest.
+  velocity: Packed; // Over the floor, in the pool frame, m/s.
+  depth_m: number; // Assumed: that of the robots' path.
+  watched: number; // Share of the pool that can be judged, 0 to 1.
 }
