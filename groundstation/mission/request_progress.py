@@ -160,7 +160,7 @@ class RequestTracker:
         for request in [r for r in self._open if r.task is None and (r.order in TUNING) is gains]:
             if request.order is order and order not in (CommandKind.GO, *OTHER_FLIGHTS, CommandKind.TUNE):
                 return request.number
-self._close(request)
+            self._close(request)
             self._record(request, mission, Progress.FAILED, f"{command_name(order)} was asked for instead")
         return self._open_one(order, mission, tuning_id=tuning_id)
 
