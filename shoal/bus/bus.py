@@ -209,9 +209,10 @@ class Bus:
         """`publish` of what is encoded already."""
         key = self._key(topic.key(robot))
         if self.muted:
-            if topic.qos in topics.RECOVERED:
-                self._unsent.append((topic, payload, stamp_ns, robot))
-            return key, Header(self.session, self._sequences.get(key, 0), stamp_ns, age_ns), payload
+            if topic.qos not in topics.RECOVERED:
+                return key, self._next_header(key, stamp_ns, age_ns), payload  # the numbers of what was lost are missing
+            self._unsent.append((topic, payload, stamp_ns, robot))
+            return key, Header(self.session, 0, stamp_ns, age_ns), payload
         with self._turns.setdefault(key, threading.Lock()):  # numbered and sent in one order, also from several threads
             if key not in self._publishers:
                 self._publishers[key] = self.transport.publisher(key, topic.qos, topic.cache_depth)
