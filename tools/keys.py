@@ -72,14 +72,14 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
 
 def _once(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
     """The tables, with "as above" for a meaning that an earlier key of the same name has."""
-    said: set[tuple[str, str]] = set()
+    explained: set[tuple[str, str]] = set()
     for table in tables:
         leaves = [(entry.name.rpartition(".")[2], entry.meaning) for entry in table.entries]
         entries = tuple(
-            replace(entry, meaning="as above.") if leaf in said and len(leaf[1].split()) > AGAIN else entry
+            replace(entry, meaning="as above.") if leaf in explained and len(leaf[1].split()) > AGAIN else entry
             for entry, leaf in zip(table.entries, leaves, strict=True)
         )
-        said.update(leaves)
+        explained.update(leaves)
         yield replace(table, entries=entries)
 
 

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, get_args
 
-from shoal.messages import topics
+from shoal.messages import codec, topics
 from shoal.messages.messages import Message
 from shoal.messages.topics import TOPICS, Qos, Topic
 
@@ -18,8 +18,8 @@ Written by `make docs` from `shoal/messages/topics.py` and `shoal/messages/messa
 A topic's key stands below the fleet's name (`--fleet`, default `shoal`). A header of 28 bytes travels as Zenoh attachment:
 session u64, sequence u32, stamp i64 in ns, age i64 in ns, little-endian (`shoal/messages/codec.py`).
 """
-TOPICS_HEAD = """`*`: not recorded. `†`: no robot and no localizer may read it. A number after the way of sending: so many messages are kept for
-a subscriber that comes later.
+TOPICS_HEAD = """`*`: not recorded. `†`: no robot and no localizer may read it. A number after the way of sending: so many
+messages are kept for a subscriber that comes later.
 """
 
 MESSAGES_HEAD = """

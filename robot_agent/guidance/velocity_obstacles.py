@@ -41,8 +41,9 @@ ABAFT = -0.38  # cosine of 112.5 degrees from ahead: a robot from there overtake
 HEAD_ON = -0.9  # cosine between courses that are so opposite that both give way
 STANDS_ON = 0.5  # of the time to look ahead: for a robot that should have given way
 CATCH_UP = 0.5  # of the reference's speed, on top of it, to return with, if `Agility.catch_up_mps` is less
-UNHURRIED = 0.5  # of `Agility.fastest_mps`: that fast goes a robot around something, or CATCH_UP beyond its reference if that is
-# more: one that hurries takes a long way round
+# Of `Agility.fastest_mps`: that fast goes a robot around something, or CATCH_UP beyond its reference if that is more. One that
+# hurries takes a long way round.
+UNHURRIED = 0.5
 FASTEST_SHARE = 0.8  # of the vehicle's speed: the rest is for what the robot has to correct
 LEASH_M = 0.25  # the point waits for a robot that is held up
 ARRIVED_M, ARRIVED_MPS = 0.02, 0.02  # the controller corrects as much by itself

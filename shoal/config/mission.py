@@ -9,7 +9,7 @@ from shoal.config.vehicle import NotNegative, Positive
 
 
 class MissionConfig(Section):
-    """How the station leads a mission (docs/missions.md)."""
+    """Keys of the mission: what the station does with robots that are lost, late or back (docs/missions.md)."""
 
     lost: Literal["abort", "hold", "go-on", "close-up"] = "abort"
     """The others' reaction to a lost robot: disarm; hold; go on; or take the nodes of the file's first robots."""

@@ -218,10 +218,8 @@ def _bad_frames(probe: BoardProbe) -> int:
 def _telemetry(probe: BoardProbe) -> Measured:
     probe.listen(0.2)
     times_ms: set[int] = set()
-    probe.bytes_heard, bad_before = (
-        0,
-        _bad_frames(probe),
-    )  # a link that was opened in the middle of a frame began with a bad one
+    # A link that was opened in the middle of a frame began with a bad one.
+    probe.bytes_heard, bad_before = 0, _bad_frames(probe)
     for _ in range(400):
         probe.listen(0.005)
         times_ms.add(probe.computer.telemetry.board_ms)

@@ -131,8 +131,8 @@ def test_a_program_that_ends_just_after_arming_does_not_take_that_answer_for_dis
     stop.request()
     with caplog.at_level("INFO"):
         robot.run()
-    said = "says that it is disarmed" if obeys else "has not said within 0.25 s that it is disarmed"
-    assert said in caplog.text
+    line = "says that it is disarmed" if obeys else "has not said within 0.25 s that it is disarmed"
+    assert line in caplog.text
 
 
 @dataclass

@@ -247,16 +247,16 @@ def cycles_until_done(fleet: SimulatedFleet, number: int) -> int:
     return cycles
 
 
-@pytest.mark.parametrize("asked", TAKEN_OVER, ids=lambda asked: " ".join(f"{o.name}{r or ''}" for o, r in asked))
-def test_what_was_done_before_another_request_took_over_is_done(asked: tuple[tuple[CommandKind, int], ...]) -> None:
-    """Whatever the other one is, and also when the station has not looked since the robots did it."""
-    circle = (CommandKind.REJOIN, 0) in asked  # on which robots may come back at any time; a GO is for a path of places
+@pytest.mark.parametrize("requests", TAKEN_OVER, ids=lambda requests: " ".join(f"{o.name}{r or ''}" for o, r in requests))
+def test_a_request_that_was_done_before_another_took_over_is_done(requests: tuple[tuple[CommandKind, int], ...]) -> None:
+    """The other one may be any, and also when the station has not looked since the robots did it."""
+    circle = (CommandKind.REJOIN, 0) in requests  # on which robots may come back at any time; a GO is for a path of places
     fleet = SimulatedFleet(an_experiment("go-on", TWO, CIRCLE if circle else PLACES))
     same = {id(fleet.experiment): fleet.experiment}
     fleet.run(1.0)
-    for before in asked[:-1]:
+    for before in requests[:-1]:
         cycles_until_done(fleet, ask_fleet(fleet, *before))
-    order, only = asked[-1]
+    order, only = requests[-1]
     number = ask_fleet(fleet, order, only)
     needed = cycles_until_done(copy.deepcopy(fleet, dict(same)), number)
     for _ in range(needed - 1):

@@ -18,7 +18,7 @@ from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.mavlink.agent_link import Telemetry
 from shoal.runtime.runtime import Stop
 from tests.robot_agent.host.restarted_board import POOL, STEP_NS, RestartedBoard
-from tests.robot_agent.host.test_board_zero import Switched
+from tests.robot_agent.host.silent_board import Switched
 
 
 @pytest.fixture

@@ -295,18 +295,18 @@ def test_thrusters_are_turned_only_on_a_board_that_says_it_is_disarmed(
 
 def test_a_board_that_may_have_armed_unheard_is_told_to_disarm_more_than_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """It says that it is disarmed, and has answered nothing: the last word may be of before it was asked to arm."""
-    asked: list[bool] = []
+    orders: list[bool] = []
 
     class Mute(obedient_board.Board):
         def send(self, data: bytes) -> None:
-            asked.extend(event.arm for _, event in self._link.receive(data, 0) if isinstance(event, Arm))
+            orders.extend(event.arm for _, event in self._link.receive(data, 0) if isinstance(event, Arm))
 
     monkeypatch.setattr(thrusters, "open_board_link", lambda board: (Mute(), None))
     monkeypatch.setattr(thrusters, "ARM_WITHIN_S", 0.3)
     board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
     (finding,) = thrusters.turn_thrusters(load_experiment("pool"), board)
     assert finding.detail.startswith(thrusters.NOT_ARMED)
-    assert asked.count(True) > 1 and asked.count(False) > 1, asked
+    assert orders.count(True) > 1 and orders.count(False) > 1, orders
 
 
 def test_an_agent_whose_presence_is_told_late_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
