@@ -21,7 +21,7 @@ from groundstation.mission.mission import (
 )
 from groundstation.mission.objections import ARMED, LIVE, MOVING
 from groundstation.mission.single_robot import RobotTask
-from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
+from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState, command_name
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
 from shoal.messages.messages import CommandKind, Mode, Outcome, Progress
@@ -161,7 +161,7 @@ class RequestTracker:
             if request.order is order and order not in (CommandKind.GO, *OTHER_FLIGHTS, CommandKind.TUNE):
                 return request.number
             self._close(request)
-            self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
+            self._record(request, mission, Progress.FAILED, f"{command_name(order)} was asked for instead")
         return self._open_one(order, mission, tuning_id=tuning_id)
 
     def note_done(self, order: CommandKind, mission: Mission) -> int:

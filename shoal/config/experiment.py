@@ -442,8 +442,15 @@ def checked_experiment(
     """The experiment of a parsed file; `table` is changed. Raises ConfigError."""
     _insert_files(table, path)
     for setting in settings:
-        apply_setting(table, setting)
-        _insert_files(table, path)
+        try:
+            apply_setting(table, setting)
+        except ConfigError as error:
+            raise ConfigError(f"--set {error}") from None
+        try:
+            _insert_files(table, path)
+        except ConfigError as error:
+            lines = (line.removeprefix(f"{path}: ") for line in str(error).splitlines())
+            raise ConfigError("\n".join(f"--set {setting}: {line}" for line in lines)) from None
     _insert_nodes(table)
     sim = table.setdefault("sim", {}) if faults else None
     of_file = 0

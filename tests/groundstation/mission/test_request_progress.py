@@ -220,7 +220,7 @@ def test_another_request_takes_the_place_of_one_under_way_and_the_same_is_one() 
     first = lab.ask(CommandKind.START)
     lab.step(0.1)
     stop = lab.ask(CommandKind.STOP)
-    assert lab.outcome(first).reason == "STOP was asked for instead"
+    assert lab.outcome(first).reason == "stop was asked for instead"
     assert lab.progress(first) is Progress.FAILED
     assert lab.ask(CommandKind.STOP) == stop
 

@@ -402,7 +402,7 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
         fleet.until(station, lambda: outcome(station, number).progress is Progress.DONE)
         assert (outcome(station, number).confirmed, fleet.modes) == ((2,), {1: Mode.HOLDING, 2: Mode.DISARMED})
         refused = operator.command(Command(CommandKind.START, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
-        assert refused.reason == "START is not for one robot (allowed: ARM, HOLD, DISARM, GO, OUT, BACK_IN)"
+        assert refused.reason == "start is not for one robot (allowed: arm, hold, disarm, go, out, back-in)"
         stop = operator.command(Command(CommandKind.STOP, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
         assert stop.outcome is not None
         fleet.until(station, lambda: set(fleet.modes.values()) == {Mode.STOPPED})
