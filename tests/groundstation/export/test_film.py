@@ -90,8 +90,10 @@ def _filmed(tmp_path: Path, pictures: Sequence[tuple[int, int, bytes | None]]) -
             (topics.VIDEO, "camera/video", (session, stamp_ns), Video(data if other is None else other)),
         ):
             if other != b"" or topic is not topics.VIDEO:
-                heard = now_ns + 1 if topic is topics.HEARTBEAT else heard_ns
-                recorder.put(topic, f"shoal/{key}", Header(sender[0], 2 * k + 1, sender[1]), encode(message, sender[1]), heard)
+                arrival_ns = now_ns + 1 if topic is topics.HEARTBEAT else heard_ns
+                recorder.put(
+                    topic, f"shoal/{key}", Header(sender[0], 2 * k + 1, sender[1]), encode(message, sender[1]), arrival_ns
+                )
     recorder.close()
     return tmp_path / "pool.mp4"
 

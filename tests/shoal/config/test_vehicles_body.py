@@ -19,7 +19,7 @@ def test_the_simulated_body_has_the_vehicles_cells_and_righting_moment() -> None
     assert plant.battery.curve_v == pytest.approx(16.0)
 
 
-def test_what_an_experiment_says_of_the_simulated_body_stands() -> None:
+def test_keys_of_the_simulated_body_in_an_experiment_stand() -> None:
     settings = ["vehicle=vectored", "sim.sensors.battery_v=15", "sim.plant.battery.curve_v=14", "sim.plant.tilt.righting_nm=5"]
     sim = load_experiment("straight", settings).sim
     assert (sim.sensors.battery_v, sim.plant.battery.curve_v, sim.plant.tilt.righting_nm) == (15.0, 14.0, 5.0)
