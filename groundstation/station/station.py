@@ -296,8 +296,11 @@ class Station:
         except ValueError as error:
             reason = str(error)
         else:
-            simulated = simulator in self.bus.present
-            reason = "" if simulated else "nothing here is simulated: only the simulator breaks things"
+            reason = ""
+            if simulator not in self.bus.present:
+                reason = "nothing here is simulated: only the simulator breaks things"
+            elif what.startswith("radio") and not self.clock.waits:
+                reason = "a radio breaks only in simulated time: start the run without --real-time"
         if not reason:
             self.bus.publish(topics.FAULT, FaultRequest(what, for_s), self.clock.now_ns())
             with self.lock:

@@ -103,6 +103,20 @@ def test_a_recorders_warning_is_told_once(
     assert warnings == ["recorder: pictures are not recorded any longer"]
 
 
+def test_a_radio_breaks_only_where_the_simulator_owns_time(tmp_path: Path) -> None:
+    """By the wall clock the simulator cannot do it, so the request is refused and not told as done."""
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        station.bus.watch_presence()
+        Bus(MemoryTransport(hub)).announce("sim-bridge")
+        assert eventually(lambda: "sim-bridge" in station.bus.present)
+        refusal, number = station.request(CommandKind.FAULT, text="radio 1 dead")
+        assert "without --real-time" in refusal and number == 0
+        assert station.request(CommandKind.FAULT, text="thruster 1/3 dead")[0] == ""
+        station.clock = LockstepClock()
+        assert station.request(CommandKind.FAULT, text="radio 1 dead")[0] == ""
+
+
 def test_the_heartbeat_tells_when_the_flight_began(tmp_path: Path) -> None:
     """Terminals, scripts and the recorded run count their time from it."""
     hub = MemoryHub()
