@@ -190,9 +190,9 @@ def _is_constant(stamps_ms: list[float], rate_hz: float) -> bool:
 
 def _ranges(numbers: list[int]) -> str:
     """Rising numbers in words: 3, 7 to 9, ..."""
-    known = set(numbers)
-    starts = [number for number in numbers if number - 1 not in known]
-    ends = [number for number in numbers if number + 1 not in known]
+    members = set(numbers)
+    starts = [number for number in numbers if number - 1 not in members]
+    ends = [number for number in numbers if number + 1 not in members]
     parts = [str(a) if a == b else f"{a} to {b}" for a, b in zip(starts, ends, strict=True)]
     return ", ".join(parts[:_MOST_NAMED]) + (", ..." if len(parts) > _MOST_NAMED else "")
 
