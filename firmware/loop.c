@@ -69,7 +69,8 @@ static bool serve_link(struct loop *loop, uint64_t now_us) {
     bytes = bytes > 0 ? hal_write(output, bytes) : 0;
     if (bytes > 0)
         link_sent(&board->link, bytes);
-    return worked || read > 0 || bytes > 0 || store_is_writing(&loop->store);
+    const bool is_writing = loop->store.stamps_writing.what != KEEP_NOTHING || loop->store.writing.what != KEEP_NOTHING;
+    return worked || read > 0 || bytes > 0 || is_writing;
 }
 
 void loop_once(struct loop *loop) {

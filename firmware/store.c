@@ -151,10 +151,6 @@ static void begin_settings(struct store *store, struct board *board) {
     store->writing = begin_record(store, store->record, SETTINGS_AREA, KEEP_SETTINGS);
 }
 
-bool store_is_writing(const struct store *store) {
-    return store->stamps_writing.what != KEEP_NOTHING || store->writing.what != KEEP_NOTHING;
-}
-
 /* Begin the record that comes first of those that the board wants kept. */
 static void begin(struct store *store, struct board *board) {
     if (board->memory & KEEP_STAMPS)

@@ -47,6 +47,5 @@ struct memory {
 void store_load(struct store *store, struct memory *memory);
 /* Write what the board wants kept, a byte at most with each call. */
 void store_continue(struct store *store, struct board *board);
-bool store_is_writing(const struct store *store);
 
 #endif

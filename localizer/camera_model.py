@@ -35,7 +35,6 @@ class Intrinsics(Section):
 
     @classmethod
     def of(cls, camera: Camera) -> "Intrinsics":
-        """The intrinsics of a camera."""
         return cls(**{key: getattr(camera, key) for key in cls.model_fields})
 
     @property

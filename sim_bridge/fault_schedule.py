@@ -147,6 +147,7 @@ class FaultSchedule:
         self.water_drop_m = next((b.value for b in reversed(water) if b.effect == "low"), 0.0)
         self.gust_mps = sum(b.value for b in water if b.effect == "gust")
         self.balls = tuple(Drifter(radius_m=b.value, start_m=(*b.place_m, self._depth_m)) for _, b in self._of("ball"))
+        self.without_radio = frozenset(b.robot for _, b in self._of("radio"))
         self.links = [LinkFaults()] * n
         for i, b in self._of("link"):
             old, is_noisy, is_slow = self.links[i], b.effect == "noisy", b.effect == "slow"

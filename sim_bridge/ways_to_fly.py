@@ -16,23 +16,23 @@ class WayToFly(NamedTuple):
     same_bits: bool  # the same seed gives the same bits, on one machine with one set of packages
 
 
-RUNS, IN_MEMORY = "real program", "real, in this process"
+RUNS, IN_MEMORY = "real", "real, in this process"
 WAYS = (
     WayToFly(
-        "sim-bridge sil NAME --real-time", RUNS, RUNS, RUNS, "simulated, MAVLink", "Zenoh; keys and signed links can be used",
+        "sim-bridge sil NAME --real-time", RUNS, RUNS, RUNS, "simulated, MAVLink", "Zenoh",
         "wall clock", False,
     ),
     WayToFly(
-        "sim-bridge sil NAME", RUNS, RUNS, RUNS, "simulated, MAVLink", "Zenoh; keys and signed links can be used",
-        "simulated: waits for every program", True,
+        "sim-bridge sil NAME", RUNS, RUNS, RUNS, "simulated, MAVLink", "Zenoh",
+        "lockstep", True,
     ),
     WayToFly(
         "sim-bridge sil NAME --one-process", IN_MEMORY, IN_MEMORY, IN_MEMORY, "simulated, MAVLink in memory", "none",
-        "simulated: each step in turn", True,
+        "lockstep", True,
     ),
     WayToFly(
-        "sim-bridge numeric NAME", "none: true poses with noise", "planner alone", "control step in this process",
-        "none: pulses go to the plant", "none", "simulated", True,
+        "sim-bridge numeric NAME", "none: true poses with noise", "planner alone", "control step",
+        "none", "none", "simulated", True,
     ),
     WayToFly(
         "sim-bridge hil NAME --board 1=LINK", RUNS, RUNS, RUNS, "real, in HIL mode",
@@ -42,7 +42,6 @@ WAYS = (
 
 
 def table() -> str:
-    """The table in Markdown."""
     heads = ("Command", "Localizer", "Station", "Agents", "Boards", "Network", "Time", "Same seed, same bits")
     lines = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
     for way in WAYS:

@@ -15,9 +15,8 @@ import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
-from shoal.messages.messages import Truth
 from sim_bridge.fault_schedule import BEFORE_S, FaultSchedule
-from sim_bridge.plant.fleet import Plant, PlantState
+from sim_bridge.plant.fleet import PlantRun, PlantState
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.thruster_board.board import ThrusterBoard
 
@@ -43,7 +42,7 @@ class WorldBoard(Protocol):
     def step(self, now_ns: int, eta: Array, nu: Array, acceleration: Array, supply_v: float, tilt: Array) -> bytes: ...
 
 
-class World:
+class World(PlantRun):
     """The fleet in the water from the moment the robots are put in at `starts`, poses (n, 4) in the pool frame."""
 
     def __init__(
@@ -55,12 +54,10 @@ class World:
         held: bool = False,
     ) -> None:
         """Make the world. With `held` the robots are kept in place until the first of them is armed."""
+        super().__init__(experiment, seed, starts)
         self._held = held
-        self._plant = Plant(experiment, seed)
-        self._state = self._plant.start(starts)
         # one thruster board per robot, in the experiment's order
         self.boards: list[WorldBoard] = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
-        self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.all_cameras[0].rate_hz
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
         self._frames = 1  # the first is at time 0
@@ -71,34 +68,10 @@ class World:
         self.exposed = False  # the last step reached the middle of an exposure
 
     @property
-    def now_ns(self) -> int:
-        """Plant time since the start."""
-        return self._state.steps * self._step_ns
-
-    @property
     def exposure_ns(self) -> int:
         """Plant time of the next exposure: the first step at or after it is due."""
         due = self._frames * self._frame_period_s - 1e-9
         return -int(-due * 1e9 // self._step_ns) * self._step_ns
-
-    @property
-    def eta(self) -> Array:
-        """Poses now, (n, 4)."""
-        return self._state.eta
-
-    @property
-    def nu(self) -> Array:
-        """Velocities now, (n, 4)."""
-        return self._state.nu
-
-    @property
-    def tilt(self) -> Array:
-        """Roll, pitch and their rates now, (n, 4)."""
-        return self._state.tilt
-
-    def truth(self) -> Truth:
-        """The state now, for the log; no controller may read it."""
-        return self._plant.truth(self._state)
 
     def receive(self, i: int, data: bytes) -> bool:
         """Give bytes from the i-th robot's computer to its board. Returns True if the board took a frame of them."""

@@ -6,6 +6,7 @@ for they share what is dear to make. What is marked `real_time` runs in two proc
 third would starve the others of processor time.
 """
 
+import gc
 import os
 import tempfile
 from collections.abc import Iterator
@@ -21,6 +22,9 @@ for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which 
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 os.environ["SHOAL_CHECK_KERNELS"] = "1"  # types of arguments, which machine code does not look at
 
+# What collecting the tests makes lives until the end. With the garbage collector at work it takes twice as long.
+gc.disable()
+
 # The first call in a process counts: without it, one verbose test would make Zenoh print in all later ones.
 zenoh.init_log_from_env_or("error")
 
@@ -32,6 +36,11 @@ os.environ["SHOAL_RUNTIME_DIR"] = _runtime.name
 settings.register_profile("steady", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("explore", deadline=None, max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

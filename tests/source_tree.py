@@ -1,6 +1,7 @@
 """Syntax trees of the project's source files, each parsed and flattened once in a test process."""
 
 import ast
+import gc
 from functools import cache
 from pathlib import Path
 
@@ -15,7 +16,13 @@ def sources(*packages: str) -> list[str]:
 
 @cache
 def tree_of(source: str) -> ast.Module:
-    return ast.parse((ROOT / source).read_text(encoding="utf-8"))
+    """Syntax tree of a file. All together have a million objects, which live as long as the tests: the collector leaves them
+    alone, and takes a fifth of the time."""
+    gc.disable()
+    tree = ast.parse((ROOT / source).read_text(encoding="utf-8"))
+    gc.freeze()
+    gc.enable()
+    return tree
 
 
 @cache

@@ -24,7 +24,7 @@ from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.errors import ConfigError
 from shoal.messages.codec import Header
 from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply
-from shoal.runtime.cli_options import experiments
+from shoal.runtime.cli_options import as_run, experiments
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.sil.ports import free_port
 
@@ -182,6 +182,49 @@ def test_codes_for_what_cannot_be_done() -> None:
     ):
         assert CliRunner().invoke(groundstation, arguments).exit_code == 2
     assert CliRunner().invoke(sim_bridge, ["compare", "pool", "--scatter", "-1"]).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("sil pool --duration -5", "--duration"),
+        ("numeric pool --seed -1", "--seed"),
+        ("compare pool --duration 0", "--duration"),
+        ("numeric pool --set vehicle=submarine", "--set vehicle=submarine: vehicle = 'submarine': no such vehicle"),
+    ],
+)
+def test_an_error_names_the_argument_that_was_typed(words: str, named: str) -> None:
+    code, _, reason = ended("sim_bridge", *words.split())
+    assert code == 2 and named in reason and ("--set" in reason) is ("--set" in words)
+
+
+@pytest.mark.parametrize(
+    ("module", "words"),
+    [
+        *(("groundstation", words) for words in ("log report", "log compare", "log replay", "log label", "log delete --yes")),
+        ("groundstation", "log export --out tables"),
+        ("sim_bridge", "rerun"),
+        ("sim_bridge", "sil --from"),
+    ],
+)
+def test_a_folder_without_a_run_is_refused(tmp_path: Path, module: str, words: str) -> None:
+    (tmp_path / "video.mcap").touch()
+    code, _, reason = ended(module, *words.split(), str(tmp_path / "video.mcap"))
+    assert code == 2 and reason.startswith(f"{tmp_path / 'video.mcap'}: is no folder (allowed: a run's folder")
+    code, _, reason = ended(module, *words.split(), str(tmp_path))
+    assert code == 2 and reason.startswith(f"{tmp_path}: run.mcap and experiment.toml are missing there")
+
+
+def test_a_run_may_be_named_by_its_log(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").touch()
+    assert as_run(tmp_path / "run.mcap") == as_run(tmp_path) == tmp_path
+
+
+def test_a_comparison_that_cannot_be_flown_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for out in ([], ["--out", "mine"]):
+        assert CliRunner().invoke(sim_bridge, ["compare", "pool", "--laws", "nowhere:Law", "--seeds", "1", *out]).exit_code
+    assert not list(tmp_path.iterdir())
 
 
 def ended(*arguments: str) -> tuple[int, str, str]:

@@ -21,7 +21,7 @@ from groundstation.__main__ import cli
 from groundstation.logs import reader, repair, run_folders
 from groundstation.report import compare_report
 from groundstation.scripting.runs import FlownRun
-from groundstation.web.run_end import run_end
+from groundstation.web.run_desk import run_end
 from localizer.calibration.images import read_picture
 from localizer.evaluation.offline import PoseTable
 from localizer.evaluation.runner import read_frame_table, read_idtracker

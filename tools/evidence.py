@@ -11,10 +11,8 @@ from benchmarks.robots import report
 EVIDENCE = Path(__file__).parents[1] / "docs" / "evidence"
 HEAD = """# Evidence
 
-What can be measured; a link leads to a page that is written. Each page states commit, machine, seeds and targets, and has its
+What has been measured. Each page states commit, machine, seeds and targets, and has its
 figures as JSON beside it. Times depend on the machine: compare rows of one page only. This list is written by `make docs`.
-
-A name without a command is a benchmark: `make evidence ARGS=NAME` writes its page, `make bench ARGS=NAME` only measures.
 
 """
 OTHERS = {  # pages with commands of their own
@@ -26,14 +24,25 @@ OTHERS = {  # pages with commands of their own
 
 
 def _rows() -> Iterator[list[str]]:
-    commands = {name: (name, what) for name, (_, what) in BENCHMARKS.items()}
+    """Each page that is written, and its command."""
+    commands = {name: (f"make evidence ARGS={name}", what) for name, (_, what) in BENCHMARKS.items()}
     for name, (command, what) in {**OTHERS, **commands}.items():
-        yield [f"[{what}]({name}.md)" if (EVIDENCE / f"{name}.md").exists() else what, f"`{command}`"]
+        if (EVIDENCE / f"{name}.md").exists():
+            yield [f"[{what}]({name}.md)", f"`{command}`"]
+
+
+def _unwritten() -> str:
+    """The benchmarks without a page, by their names."""
+    names = ", ".join(f"`{name}`" for name in BENCHMARKS if not (EVIDENCE / f"{name}.md").exists())
+    return f"""
+More benchmarks: {names}. `python -m benchmarks --list` says what each measures. `make evidence ARGS=NAME` writes its page,
+`make bench ARGS=NAME` only measures.
+"""
 
 
 def files() -> dict[Path, str]:
     """The list, and the page of each benchmark that has figures."""
-    pages = {EVIDENCE / "README.md": HEAD + "\n".join(table(("What", "Command"), _rows())) + "\n"}
+    pages = {EVIDENCE / "README.md": HEAD + "\n".join(table(("What", "Command"), _rows())) + "\n" + _unwritten()}
     robots = EVIDENCE / "robots.json"
     pages[robots.with_suffix(".md")] = report.markdown(report.from_json(json.loads(robots.read_text(encoding="utf-8"))))
     for name in BENCHMARKS:

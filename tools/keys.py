@@ -51,6 +51,7 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
     """The tables. One whose keys are those of an earlier table, as [[cameras]] has those of [camera], lists its other keys; so
     does a further kind of a section."""
     earlier: dict[str, set[tuple[str, ...]]] = {}
+    meanings: set[str] = set()
     of_kind: dict[str, set[tuple[str, ...]]] = {}  # rows of a section that has several kinds, as the paths
     for table in tables:
         rows = {entry: (entry.name, entry.type, entry.default, entry.meaning) for entry in table.entries}
@@ -64,9 +65,11 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
         first = next((name for name, other_keys in earlier.items() if len(other_keys & set(keys.values())) >= COPIES), "")
         if first:
             others = tuple(entry for entry, key in keys.items() if key not in earlier[first])
-            yield replace(table, meaning=f"{table.meaning} The keys of [{first}]{', and:' if others else '.'}", entries=others)
+            about = "" if table.meaning in meanings else f"{table.meaning} "
+            yield replace(table, meaning=f"{about}The keys of [{first}]{', and:' if others else '.'}", entries=others)
         else:
             earlier[table.name] = set(keys.values())
+            meanings.add(table.meaning)
             yield table
 
 

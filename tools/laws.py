@@ -21,7 +21,7 @@ from shoal.system import programs
 
 DOCS = Path(__file__).parents[1] / "docs"
 STEM = DOCS / "evidence" / "laws"
-SHOWN = ("rms_after_20s_m", "formation_after_20s_m", "input_step_rms", "wanted_beyond")
+SHOWN = ("rms_after_20s_m", "input_step_rms", "wanted_beyond")
 NOISE = ("--set", "sim.numeric.pose_noise_m=0.0015", "--set", "sim.numeric.yaw_noise_rad=0.008")
 FLIGHTS = (  # words of `sim-bridge compare`
     ("numeric-disturbed", "--scatter", "0.5", "--duration", "35"),
@@ -35,9 +35,9 @@ HEAD = """# Evidence: control laws on the same seeds
 Distance from the reference over all robots, RMS, against the plant's truth: means over the seeds. laws.json has more
 figures, and 95 % bootstrap intervals. × is the distance after 20 s over that of the first law, as the geometric mean of the
 ratios on the same seeds.
-*Formation*: distances between robots, after 20 s. *Wanted beyond*: control steps in which the law wanted more than the limit
+*Wanted beyond*: control steps in which the law wanted more than the limit
 of magnitude or of change. What is applied is cut to both limits for every law. Laws, and how their gains were found:
-[baselines.md](../baselines.md).
+[baselines.md](../baselines.md). Below a table: seeds on which a law was under way in only a part of the control steps.
 
 ![Errors by law: every flight, means and intervals](../images/laws-errors.png)
 
@@ -52,13 +52,22 @@ def _table(comparison: Comparison) -> list[str]:
     return evidence.table(["Law", *(heads[k] for k in columns)], rows)
 
 
+def _failures(comparison: Comparison) -> list[str]:
+    """The laws with flights that failed, each with its failures in one line, by seed; and an empty line."""
+    by_law: dict[str, list[str]] = {}
+    for failure in failures(comparison):
+        law, _, what = failure.partition(", seed ")
+        by_law.setdefault(law, []).append(what.replace(" of the control steps only", ""))
+    return [*(f"* {law}, seed {'; '.join(texts)}" for law, texts in by_law.items()), *[""] * bool(by_law)]
+
+
 def page(content: dict[str, Any]) -> str:
     """The page of evidence from the content of its JSON file."""
     lines = [HEAD.format(written=content["written"], seeds=content["seeds"])]
     for command, text in content["comparisons"].items():
         comparison = Comparison.from_json(json.dumps(text))
         lines += [f"## {comparison.scene}\n", f"`{command}`\n", *_table(comparison), ""]
-        lines += [f"* {failure}" for failure in failures(comparison)] + [""] * bool(failures(comparison))
+        lines += _failures(comparison)
     return "\n".join(lines)
 
 

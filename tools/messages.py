@@ -25,7 +25,7 @@ messages are kept for a subscriber that comes later.
 MESSAGES_HEAD = """
 ## Messages
 
-[fleet.proto](fleet.proto) has every field with its meaning, and every choice.
+[fleet.proto](fleet.proto) has every message, field and choice with its meaning. Those of Foxglove are:
 """
 
 
@@ -61,9 +61,8 @@ def _topic_row(topic: Topic) -> str:
 
 
 def _message(cls: Any) -> str:
-    """The message's name and meaning in a line; of a message in fleet.proto the first sentence of it."""
-    about = " ".join((inspect.getdoc(cls) or "").split())
-    return f"* **{cls.__name__}**: {about.partition('. ')[0].rstrip('.') + '.' if cls in codec.OWN else about}"
+    """The message's name and meaning in a line."""
+    return f"* **{cls.__name__}**: {' '.join((inspect.getdoc(cls) or '').split())}"
 
 
 def page() -> str:
@@ -83,7 +82,7 @@ def page() -> str:
         "\n### How a topic is sent\n",
     ]
     lines += [f"* **{qos.name}**: {qos.value}." for qos in Qos]
-    lines += [MESSAGES_HEAD, *(_message(cls) for cls in get_args(Message))]
+    lines += [MESSAGES_HEAD, *(_message(cls) for cls in get_args(Message) if cls not in codec.OWN)]
     return "\n".join(lines) + "\n"
 
 

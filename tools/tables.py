@@ -1,4 +1,4 @@
-"""Reference pages from tables in the programs: modes of a robot, parameters of a board, ways to fly."""
+"""Pages from tables in the programs: modes of a robot, parameters of a board, and the ways to fly of docs/simulator.md."""
 
 import re
 from pathlib import Path
@@ -23,13 +23,7 @@ A robot with power is in one guidance state. In each state exactly one thing dec
 time in which a robot can turn round and stop, 3.5 s for `spherical`.
 
 """
-WAYS = """# Ways to fly
-
-Written by `make docs` from `sim_bridge/ways_to_fly.py`. In a pool everything is real. The table says what stands in place
-of each part in a simulated flight ([simulator.md](../simulator.md)); the water is always simulated. `--poses` takes the poses
-from the simulator in place of camera and localizer.
-
-"""
+WAYS = "<!-- ways to fly: written by `make docs` -->\n"
 PARAMETERS = """# Parameters of a thruster board
 
 Written by `make docs` from `sim_bridge/thruster_board/parameters.py`; edit that. "Here" is the value for `pool`.
@@ -57,8 +51,10 @@ def _parameters() -> str:
 
 def files() -> dict[Path, str]:
     """The pages and their text."""
+    simulator = REFERENCE.parent / "simulator.md"
+    before, _, after = simulator.read_text(encoding="utf-8").split(WAYS)
     return {
         REFERENCE / "modes.md": MODES + modes.table() + GUIDANCE + guidance_states.table(),
-        REFERENCE / "ways-to-fly.md": WAYS + ways_to_fly.table(),
+        simulator: f"{before}{WAYS}{ways_to_fly.table()}{WAYS}{after}",
         REFERENCE / "board-parameters.md": _parameters(),
     }

@@ -1,10 +1,9 @@
 """Whole runs of the numeric scenes and of `pool` against the best that is possible from the same start.
 
-The bound is an optimal-control problem solved offline: the nominal model's own equations, the limits (39, 40), the whole
-reference and disturbance known beforehand. What a controller without that knowledge adds to it is its own doing; the rest is
-the start's. In `pool`, flown without camera, that is also what noise, delays and unlike thrusters cost, and heading
-does not count: a robot without a side thruster has to turn it for the place. The time from which on a robot stays near its
-place is that of the seconds for which the bound is solved.
+The bound is an optimal-control problem solved offline: the nominal model's equations, the limits (39, 40), the whole reference
+and disturbance known beforehand. In `pool`, flown without camera, the difference is also the cost of noise, delays and unlike
+thrusters, and heading has no weight. The time until a robot stays near its place is that of the seconds for which the bound is
+solved.
 """
 
 from collections.abc import Iterator

@@ -113,7 +113,7 @@ def targets(run: GridRun) -> list[tuple[str, str, str]]:
         ),
         ("never settle, orbit, or are led for ever", "0 of 2,000", _share(sum(_is_lost(f) for f in fair), fair)),
         (
-            f"eight, {', '.join(CELLS[m].about for m in MODELS)}: RMS after 20 s, worst",
+            f"eight, {', '.join(MODELS)}: RMS after 20 s, worst",
             "5 mm each",
             ", ".join(f"{evidence.short(1e3 * worst)} mm" for m in MODELS if (worst := _worst_eight(run.of(m))) > 0.0),
         ),

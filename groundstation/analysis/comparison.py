@@ -30,8 +30,6 @@ def settled(flown_s: float) -> bool:
 
 @dataclass(frozen=True)
 class FlightMetrics:
-    """The metrics of one flight."""
-
     rms_m: float  # distance from the reference, over all robots and the whole run
     rms_after_20s_m: float
     max_after_20s_m: float
@@ -103,7 +101,6 @@ class Comparison:
     commit: str  # of the code that flew
 
     def to_json(self) -> str:
-        """The content of comparison.json."""
         return json.dumps(dataclasses.asdict(self), indent=1, allow_nan=False) + "\n"
 
     @classmethod

@@ -129,7 +129,6 @@ def _cameras_out(series: Series, log: RunLog) -> dict[str, float]:
 
 
 def _robot(series: Series, robot: int) -> RobotResult:
-    """Figures of one robot."""
     mine = series.robots[robot]
     states = mine.states
     window = _within(states.time_s, series)

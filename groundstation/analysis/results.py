@@ -190,7 +190,6 @@ class Result:
         return all(check.passed for check in self.checks if check.name == WHOLE_RUN)
 
     def to_json(self) -> str:
-        """The content of result.json."""
         return json.dumps(dataclasses.asdict(self, dict_factory=_plain), indent=1, allow_nan=False) + "\n"
 
 

@@ -19,7 +19,9 @@ from shoal.runtime.cli_options import (
     FleetName,
     Insecure,
     KeyRing,
+    RunFolder,
     WebAddress,
+    as_run,
     finite,
 )
 from shoal.runtime.runtime import SLICE_S, Stop, start_log
@@ -33,9 +35,9 @@ RETURN_S = 15.0  # for a page that was open to come the first time; one in a hid
 
 
 def replay(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunFolder,
     against: Annotated[
-        Path | None, typer.Option(metavar="RUN", help="Another run of the same robots, drawn beside it.")
+        Path | None, typer.Option(metavar="RUN", help="Another run of the same robots, drawn beside it.", callback=as_run)
     ] = None,
     web: WebAddress = DEFAULT_WEB,
     until_closed: Annotated[
@@ -82,7 +84,7 @@ def replay(
 
 
 def ended(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunFolder,
     web: WebAddress = DEFAULT_WEB,
     problem: Annotated[str, typer.Option(help="Shown beside the verdict.")] = "",
 ) -> None:

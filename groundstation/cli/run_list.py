@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from shoal.errors import ConfigError
-from shoal.runtime.cli_options import AsJson
+from shoal.runtime.cli_options import AsJson, RunFolder, as_run
 from shoal.system.printable import printable
 
 if TYPE_CHECKING:  # what reads logs is imported where it is needed: a robot's board has none of it
@@ -48,7 +48,7 @@ def list_runs(
 
 
 def label(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunFolder,
     name: Annotated[str | None, typer.Option(help="Its name, in a few words; empty for none.")] = None,
     tag: Annotated[list[str] | None, typer.Option(metavar="WORD", help="Add a tag. Repeatable.")] = None,
     untag: Annotated[list[str] | None, typer.Option(metavar="WORD", help="Take a tag away. Repeatable.")] = None,
@@ -63,7 +63,7 @@ def label(
 
 
 def delete(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of runs.")],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of runs.", callback=as_run)],
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
 ) -> None:
     """Delete runs, with everything in their folders. Asks first; refuses a run that is being flown.

@@ -7,14 +7,14 @@ from typing import Annotated
 import typer
 
 from shoal.errors import ConfigError
-from shoal.runtime.cli_options import AsJson
+from shoal.runtime.cli_options import AsJson, RunFolder, as_run
 from shoal.runtime.output import terminal
 from shoal.runtime.output_files import RUN, check_output
 from shoal.system.printable import printable
 
 
 def report(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunFolder,
     pdf: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write every figure there as a PDF, too.")] = None,
     flight: Annotated[int | None, typer.Option(min=1, help="Of several flights in one log: which. Default: the last.")] = None,
     as_json: AsJson = False,
@@ -44,7 +44,7 @@ def report(
 
 
 def compare(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of two or more runs.")],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of two or more runs.", callback=as_run)],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("compare.html"),
     as_json: AsJson = False,
 ) -> None:
@@ -92,7 +92,7 @@ def compare(
 
 
 def export(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunFolder,
     out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where the files go.")] = None,
     video: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The camera's film as this MP4, what the robots did drawn over it.")

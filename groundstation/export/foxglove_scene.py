@@ -50,7 +50,6 @@ class SceneDrawer:
         self.replanned = True  # whether what stands has changed since `standing`
 
     def take(self, topic: Topic, robot: int, message: Any, stamp_ns: int) -> None:
-        """Take in a message of the run."""
         if topic is topics.STATE:
             self._states[robot] = stamp_ns, message
         elif topic is topics.PLAN:

@@ -190,7 +190,6 @@ def rows(message: Any) -> int:
 
 
 def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: bool) -> list[TableColumn]:
-    """The columns of one field."""
     label = labels(cls).get(name)
     names = label.columns if label is not None and label.parts else None
     if shape is not None and -1 in shape and not listed:  # a list within a message

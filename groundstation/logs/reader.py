@@ -264,7 +264,6 @@ class LogFile:
             yield heappop(waiting)[-1]
 
     def _chunk(self, place: _Place, channels: set[int]) -> Iterator[LogMessage]:
-        """The messages of some channels in a chunk."""
         try:
             for opcode, body in self._parts(place):
                 record = _message(body) if opcode == MESSAGE else None
@@ -312,8 +311,6 @@ class DecodedMessage(Generic[M]):
 
 @dataclass(frozen=True, eq=False)
 class RunLog:
-    """A recorded run."""
-
     entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = field(
         default_factory=dict
     )  # by topic name and robot (0: no robot)

@@ -152,7 +152,6 @@ class Mission:
 
     @property
     def segment(self) -> PlanSegment:
-        """Plan segment that is flown."""
         return self.plans.segment
 
     @property
@@ -162,7 +161,6 @@ class Mission:
 
     @property
     def plan_request(self) -> PlanRequest | None:
-        """The plan that the mission waits for."""
         return self.plans.request
 
     # --- requests of the operator

@@ -21,7 +21,7 @@ from groundstation.mission.mission import (
 )
 from groundstation.mission.objections import ARMED, LIVE, MOVING
 from groundstation.mission.single_robot import RobotTask
-from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
+from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState, command_name
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
 from shoal.messages.messages import CommandKind, Mode, Outcome, Progress
@@ -40,23 +40,23 @@ Confirms = Callable[[Mission, RobotView, int], bool]
 
 def _in(*modes: Mode) -> Confirms:
     wanted = frozenset(modes)
-    return lambda mission, view, robot: view.heard and view.mode in wanted
+    return lambda mission, view, robot: view.mode in wanted
 
 
 def _not_in(modes: frozenset[Mode]) -> Confirms:
-    return lambda mission, view, robot: view.heard and view.mode not in modes
+    return lambda mission, view, robot: view.mode not in modes
 
 
 def _loaded(mission: Mission, view: RobotView, robot: int) -> bool:
-    return view.heard and mission.roster.has_loaded(mission.segment, {robot: view}, robot)
+    return mission.roster.has_loaded(mission.segment, {robot: view}, robot)
 
 
 def _tested(mission: Mission, view: RobotView, robot: int) -> bool:
-    return view.heard and view.state is not None and view.state.thruster_test == "passed"
+    return view.state is not None and view.state.thruster_test == "passed"
 
 
 def _back(mission: Mission, view: RobotView, robot: int) -> bool:
-    return robot not in mission.roster.lost and view.heard and view.mode is Mode.DISARMED
+    return robot not in mission.roster.lost and view.mode is Mode.DISARMED
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class RequestTracker:
             if request.order is order and order not in (CommandKind.GO, *OTHER_FLIGHTS, CommandKind.TUNE):
                 return request.number
             self._close(request)
-            self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
+            self._record(request, mission, Progress.FAILED, f"{command_name(order)} was asked for instead")
         return self._open_one(order, mission, tuning_id=tuning_id)
 
     def note_done(self, order: CommandKind, mission: Mission) -> int:
@@ -261,7 +261,7 @@ class RequestTracker:
         """Progress of a request for the whole fleet, its reason, and the robots that it waits for."""
         goal = PLANNED_AT_REST if request.at_rest else GOALS[request.order]
         robots = self._concerned(request, mission, fleet)
-        waiting = [robot for robot in robots if not goal.confirmed(mission, fleet[robot], robot)]
+        waiting = [r for r in robots if not (_counts(request, mission, fleet[r]) and goal.confirmed(mission, fleet[r], r))]
         if request.order is CommandKind.HOLD and mission.cycle_ns - request.begun_ns < REST_WITHIN_S * 1e9:
             waiting = [robot for robot in robots if robot in waiting or not _rests(fleet[robot])]
         planning = request.at_rest and mission.plan_request is not None
@@ -316,6 +316,11 @@ class RequestTracker:
         forgotten = frozenset(over[: -(KEPT + len(self._robots))])
         self._outcomes = [earlier for earlier in kept if earlier.request not in forgotten]
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
+
+
+def _counts(request: _Request, mission: Mission, view: RobotView) -> bool:
+    """True for a state that says how a robot is now, or was since the request: over a slow radio each state is old."""
+    return view.heard or view.state_age_s * 1e9 <= mission.cycle_ns - request.begun_ns
 
 
 def _rests(view: RobotView) -> bool:

@@ -17,7 +17,7 @@ from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S
 from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.roster import TAKEN_OUT, Leader
-from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, ONE_ROBOT, WATER, MissionState
+from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, ONE_ROBOT, WATER, MissionState, command_name
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
@@ -90,7 +90,7 @@ class SingleRobotControl:
     ) -> str:
         """Take up a request. Returns the reason of a refusal; empty when it is under way."""
         if order not in ONE_ROBOT:
-            return f"{order.name} is not for one robot (allowed: {', '.join(o.name for o in ONE_ROBOT)})"
+            return f"{command_name(order)} is not for one robot (allowed: {', '.join(map(command_name, ONE_ROBOT))})"
         reason = self._objection(order, robot, fleet, place_m, WATER_WHEN if order in WATER else WHEN)
         if not reason and order in WATER:
             self._note_water(order, robot, now_ns)
@@ -101,7 +101,7 @@ class SingleRobotControl:
     def _note_water(self, order: CommandKind, robot: int, now_ns: int) -> None:
         """Take note that a person took a robot out of the water, or put it back: done at once."""
         if self._under_way(robot) is not None:
-            self._end(robot, f"{order.name} was asked for instead")
+            self._end(robot, f"{command_name(order)} was asked for instead")
         self.tasks[robot] = RobotTask(order, now_ns, Progress.DONE)
         self._mission.note_water(robot, order is CommandKind.OUT)
 
@@ -132,7 +132,7 @@ class SingleRobotControl:
         if last_ns is None or now_ns - last_ns > VELOCITY_LASTS_S * 1e9:
             return ""
         self._interrupted_ns[robot] = now_ns
-        return f"{self.tasks[robot].order.name} was asked for instead: let go first"
+        return f"{command_name(self.tasks[robot].order)} was asked for instead: let go first"
 
     def _under_way(self, robot: int) -> RobotTask | None:
         task = self.tasks.get(robot)
@@ -144,7 +144,7 @@ class SingleRobotControl:
         if before is not None and before.order is task.order and task.order is not CommandKind.GO:
             return
         if before is not None:
-            self._end(robot, f"{task.order.name} was asked for instead")
+            self._end(robot, f"{command_name(task.order)} was asked for instead")
             if before.order is CommandKind.DRIVE and before.velocity is not None:
                 self._interrupted_ns[robot] = task.since_ns
         self.tasks[robot] = task
@@ -175,7 +175,7 @@ class SingleRobotControl:
             return f"no robot {robot} (allowed: {', '.join(map(str, fleet))})"
         if mission.state not in when:
             names = ", ".join(state.name for state in MissionState if state in when)
-            return f"{order.name} for one robot is not possible when {mission.state.name} (only when {names})"
+            return f"{command_name(order)} for one robot is not possible when {mission.state.name} (only when {names})"
         if mission.takes_out(order) and set(mission.roster.active) == {robot}:
             return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
         view = fleet[robot]

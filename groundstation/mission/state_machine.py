@@ -219,6 +219,11 @@ def order_name(order: CommandKind) -> str:
     return order.name.lower().replace("_", "-")
 
 
+def command_name(order: CommandKind) -> str:
+    """Name of a request as a person gives it: the word of its command."""
+    return {CommandKind.PATH: "load", CommandKind.TUNE: "gains"}.get(order, order_name(order))
+
+
 def order_named(name: str) -> CommandKind:
     """Request with a name as `order_name` gives it. Raises KeyError."""
     return CommandKind[name.upper().replace("-", "_")]
@@ -241,11 +246,12 @@ def rejection_reason(order: CommandKind, state: MissionState) -> str:
     """Reason for which a request is not allowed in a state; empty if it is."""
     requests = [row.cause for row in TRANSITIONS if isinstance(row.cause, CommandKind)]
     if order not in requests:
-        return f"{order.name} is not for a whole mission (allowed: {', '.join(o.name for o in requests)})"
+        allowed = ", ".join(dict.fromkeys(map(command_name, requests)))
+        return f"{command_name(order)} is not for a whole mission (allowed: {allowed})"
     if state in states_allowing(order):
         return ""
     names = ", ".join(p.name for p in MissionState if p in states_allowing(order))
-    return f"{order.name} is not possible when {state.name} (only when {names})"
+    return f"{command_name(order)} is not possible when {state.name} (only when {names})"
 
 
 WATER = (CommandKind.OUT, CommandKind.BACK_IN)  # requests that are always for one robot

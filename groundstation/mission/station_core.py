@@ -123,9 +123,11 @@ class StationCore:
         return reason
 
     def _settle(self, fleet: Fleet, now_ns: int) -> None:
-        """Before a request: what those before it have reached is done, whatever this one does."""
-        self.single.settle(fleet, now_ns)
-        self.requests.settle(self.mission, fleet, self.tuner.status())
+        """Before a request: what those before it have reached is done, whatever this one does. Before the first cycle there is
+        no view of any robot."""
+        if fleet:
+            self.single.settle(fleet, now_ns)
+            self.requests.settle(self.mission, fleet, self.tuner.status())
 
     def _begin_task(self, robot: int) -> int:
         return self.requests.begin_task(robot, self.single.tasks[robot], self.mission)

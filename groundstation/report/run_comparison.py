@@ -24,15 +24,12 @@ FLOWN_BY = ("(mode)", "(version)", "(commit)")  # no keys of an experiment, whic
 
 @dataclass(frozen=True, eq=False)
 class ComparedRun:
-    """One of the runs that are compared."""
-
     name: str
     series: Series
     result: Result
 
     @property
     def experiment(self) -> Experiment:
-        """The experiment as it was run."""
         return self.series.experiment
 
 

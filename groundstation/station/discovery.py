@@ -29,8 +29,6 @@ LARGEST_BYTES = 4096
 
 @dataclass(frozen=True)
 class RunningStation:
-    """A running station."""
-
     endpoint: str  # as it is called from this machine
     fleet: str
     experiment: str

@@ -46,8 +46,6 @@ STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
 class LiveBackend:
-    """Backend of the live fleet."""
-
     kept_events = KEPT_EVENTS
 
     def __init__(
@@ -198,7 +196,7 @@ class LiveBackend:
         return notes
 
     def _clocks_settle(self) -> bool:
-        """Say whether robots may still have to tell their clocks: their lines of before this start come with the first."""
+        """True just after the start, when lines of an earlier run may come before the state that shows their robot's clock."""
         return not self._clock.waits and 0 <= self._clock.now_ns() - self._begun_ns < SETTLE_NS
 
     def _told_ns(self, arrived_ns: int, header: Header) -> int:

@@ -296,7 +296,6 @@ class ReplayBackend:
 
     @property
     def experiment(self) -> Experiment:
-        """The recorded experiment."""
         return self._log.experiment
 
     def _now_ns(self) -> int:

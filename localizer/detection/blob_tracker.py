@@ -56,7 +56,6 @@ class TrackedBlob:
         return np.asarray(self.centroids_m[-1] + velocity * self.unseen_s(stamp_ns))
 
     def with_observation(self, region: Blob, stamp_ns: int) -> "TrackedBlob":
-        """The blob with one more observation."""
         old = sum(stamp_ns - stamp > _MEMORY_S * 1e9 for stamp in self.stamps_ns[:-1])
         middles = np.vstack([self.centroids_m[old:], region.centroid_m])
         return replace(self, region=region, stamps_ns=(*self.stamps_ns[old:], stamp_ns), centroids_m=middles)
@@ -99,7 +98,6 @@ class BlobTracker:
         return [assignment.get(row) for row in range(len(self.blobs))]
 
     def clear(self) -> None:
-        """Drop all blobs."""
         self.blobs = ()
 
     def _with_id(self, blob: TrackedBlob) -> TrackedBlob:

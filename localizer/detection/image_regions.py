@@ -89,7 +89,6 @@ class DemosaicedRegion:
 
 
 def whole(frame: Pixels) -> ImageRegion:
-    """The region that is the whole picture."""
     return ImageRegion(frame, 0, 0)
 
 

@@ -68,7 +68,6 @@ class Latency:
     warnings: tuple[str, ...]
 
     def to_json(self) -> str:
-        """All fields as JSON."""
         return json.dumps(asdict(self), indent=1) + "\n"
 
     def to_text(self) -> str:

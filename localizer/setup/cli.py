@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from shoal.config.experiment import experiment_path, load_experiment
+from shoal.config.experiment import NO_CAMERA, experiment_path, load_experiment
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -38,6 +38,8 @@ def setup(
 ) -> None:
     """Set up a camera in a browser: light, focus, lens, pose, masks; then see the changes and save them. Prints the address.
 
+    A file without [camera] gets one when lens and pose are found.
+
     Examples:  localizer setup lab.toml --camera v4l2:/dev/video0          localizer setup pool --out lab.toml
     """
     import secrets
@@ -60,7 +62,7 @@ def setup(
 
     start_log("localizer", verbose)
     file = ExperimentFile(experiment_path(experiment), out)
-    loaded = load_experiment(experiment)
+    loaded = load_experiment(experiment, () if file.has_camera else [NO_CAMERA])
     clock, stop = WallClock(), Stop()
     kind, _, device = camera.partition(":")
     with ExitStack() as stack:
@@ -71,7 +73,7 @@ def setup(
             bus = stack.enter_context(Bus(ZenohTransport(where, stop), fleet, *codec_of(frame_ring)))
             source: FrameSource = BusSource(bus, clock, loaded.camera.rate_hz)
         else:
-            source = open_own(camera, loaded.camera, clock)
+            source = open_own(camera, loaded.camera, clock, "--camera")
         session = SetupSession(loaded, file, camera, V4l2Controls(device) if kind == "v4l2" else None)
         feed = stack.enter_context(closing(CameraFeed(source, session, stop)))
         server = SetupServer(session, feed, bound, secrets.token_urlsafe(16))

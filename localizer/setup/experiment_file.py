@@ -5,13 +5,13 @@ and with the old one kept beside it.
 """
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
-from shoal.config.experiment import EXPERIMENTS, Experiment, checked_experiment, load_experiment
+from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, checked_experiment, load_experiment
 from shoal.config.loader import MOST_BYTES, check, read_toml
 from shoal.config.perception import Camera, CameraFile
 from shoal.errors import ConfigError, os_errors_as_config_errors
@@ -43,7 +43,8 @@ class ExperimentFile:
             )
         camera = table.get("camera")
         if out is not None:  # files that the experiment names have to be there from its new place too
-            checked_experiment(table | {"camera": load_experiment(str(experiment)).camera.model_dump(mode="json")}, out)
+            loaded = load_experiment(str(experiment), () if "camera" in table else [NO_CAMERA])
+            checked_experiment(table | {"camera": loaded.camera.model_dump(mode="json")}, out)
         self._camera_file = experiment.parent / camera if isinstance(camera, str) and out is None else None
         self.reload()
 
@@ -51,6 +52,11 @@ class ExperimentFile:
     def path(self) -> Path:
         """The file that will be written."""
         return self._camera_file or self._out or self._experiment
+
+    @property
+    def has_camera(self) -> bool:
+        """False if the file has no camera yet: all its keys come from the setup."""
+        return self._camera_file is not None or "camera" in tomlkit.parse(self._text)
 
     def reload(self) -> None:
         """Read the file again; changes are then shown against what it holds now. Raises ConfigError."""
@@ -63,7 +69,7 @@ class ExperimentFile:
     @property
     def camera(self) -> Camera:
         """The camera that the file holds. Raises ConfigError if the file is no longer one of an experiment."""
-        return self._checked(tomlkit.parse(self._text).unwrap()).camera
+        return self._checked(tomlkit.parse(self._text).unwrap(), () if self.has_camera else [NO_CAMERA]).camera
 
     @property
     def _source(self) -> Path:
@@ -89,11 +95,11 @@ class ExperimentFile:
         self._checked(tomlkit.parse(text).unwrap())
         return text
 
-    def _checked(self, table: dict[str, Any]) -> Experiment:
+    def _checked(self, table: dict[str, Any], settings: Sequence[str] = ()) -> Experiment:
         if self._camera_file is not None:
             camera_table = check(CameraFile, table, str(self._camera_file)).camera.model_dump(mode="json")
             table = read_toml(self._experiment) | {"camera": camera_table}
-        return checked_experiment(table, self._experiment)
+        return checked_experiment(table, self._experiment, settings)
 
     def difference(self, camera: Mapping[str, Any]) -> list[str]:
         """Lines of the difference that saving would make, as `diff -u` tells it. Raises ConfigError."""

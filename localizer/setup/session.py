@@ -129,7 +129,7 @@ class SetupSession:
         """The work for a size of picture, begun if there was none."""
         if size_px not in self._works:
             camera = self._experiment.camera
-            camera_of_size = camera if camera.size_px == size_px else None
+            camera_of_size = camera if camera.size_px == size_px and self._file.has_camera else None
             survey = SurveyStep(self._experiment.pool, self._experiment.localizer.marker_family)
             lens = LensStep(self._board, _guess(size_px) if camera_of_size is None else Intrinsics.of(camera_of_size))
             polygons = () if camera_of_size is None else camera_of_size.masks_px
@@ -167,7 +167,7 @@ class SetupSession:
             if pages > 1:
                 notes.append(f"{pages} pages are open: all see and change the same setup")
             if work.camera is None:
-                notes.append(_no_lens(work.size_px, camera.size_px))
+                notes.append(self._no_lens())
             if work.lens_fit is not None and work.pose_fit is None:
                 notes.append("the pose is older than the lens, and wrong with it: find the pose again")
             return {
@@ -303,7 +303,7 @@ class SetupSession:
         with self._lock:
             work, grey, lens_fit = self._work, self._grey, self._work.lens_fit
         if work.camera is None:
-            raise ConfigError(_no_lens(work.size_px, self._experiment.camera.size_px))
+            raise ConfigError(self._no_lens())
         fit = work.survey.fit(work.camera, grey)
         with self._lock:
             if work.lens_fit is not lens_fit:
@@ -327,8 +327,13 @@ class SetupSession:
             self._next_mask = max(self._next_mask, number + 1)
             self._work.masks[number] = corners
 
+    def _no_lens(self) -> str:
+        here, there = ("x".join(map(str, size)) for size in (self._work.size_px, self._experiment.camera.size_px))
+        lens = f"the experiment's lens is for {there}" if self._file.has_camera else "the experiment has no camera yet"
+        return f"pictures are {here}, and {lens}: find the lens first"
+
     def _changes(self) -> dict[str, Any]:
-        """Keys of [camera] with the values found in this setup, as far as they differ."""
+        """Keys of [camera] with the values found in this setup, as far as they differ; all where the file has no camera."""
         work, before = self._work, self._experiment.camera
         results: dict[str, Any] = {}
         if work.lens_fit is not None:
@@ -342,8 +347,11 @@ class SetupSession:
             results["controls"] = [[name, value] for name, value in (dict(before.controls) | values).items()]
         if values != self._set:
             results["exposure_s"] = round(self._exposure_s(), 5)
-        was = before.model_dump(mode="json")
-        return {key: value for key, value in significant(results).items() if value != was[key]}
+        if results and not self._file.has_camera:
+            rate_hz = float(max(round(1.0 / self._interval_s), 1)) if self._interval_s else before.rate_hz
+            results = {"rate_hz": rate_hz, "exposure_s": round(self._exposure_s(), 5)} | results
+        was = before.model_dump(mode="json") if self._file.has_camera else {}
+        return {key: value for key, value in significant(results).items() if key not in was or value != was[key]}
 
     def _save(self, arguments: Mapping[str, Any]) -> None:
         changes = self._changes()
@@ -375,8 +383,3 @@ def _guess(size_px: tuple[int, int]) -> Intrinsics:
     width, height = size_px
     focal = _GUESSED_FOCAL * width
     return Intrinsics(size_px=size_px, focal_px=(focal, focal), centre_px=((width - 1) / 2, (height - 1) / 2))
-
-
-def _no_lens(size_px: tuple[int, int], known_px: tuple[int, int]) -> str:
-    here, there = ("x".join(map(str, size)) for size in (size_px, known_px))
-    return f"pictures are {here}, and the experiment's lens is for {there}: find the lens first"

@@ -15,11 +15,12 @@ ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"
 FASTEST = math.inf
 
 
-def open_own(name: str, camera: Camera, clock: Clock) -> FrameSource:
-    """A camera at this machine, or recorded pictures in its place. Raises ConfigError, naming the allowed forms."""
+def open_own(name: str, camera: Camera, clock: Clock, option: str = "--source") -> FrameSource:
+    """A camera at this machine, or recorded pictures in its place, as an option names it. Raises ConfigError, naming the
+    allowed forms."""
     kind, _, where = name.partition(":")
     if not where:
-        raise ConfigError(f"--source {name}: unknown (allowed: {ALLOWED})")
+        raise ConfigError(f"{option} {name}: unknown (allowed: {ALLOWED})")
     if kind == "v4l2":
         check_device(where)
         return V4l2Source(where, camera, clock)
@@ -29,7 +30,7 @@ def open_own(name: str, camera: Camera, clock: Clock) -> FrameSource:
         return VideoSource(Path(path), None if fastest else rate_hz, clock, fastest)
     if kind == "folder":
         return FolderSource(Path(path), camera.rate_hz if fastest or rate_hz is None else rate_hz, clock, fastest)
-    raise ConfigError(f"--source {name}: unknown (allowed: {ALLOWED})")
+    raise ConfigError(f"{option} {name}: unknown (allowed: {ALLOWED})")
 
 
 def _with_rate(where: str) -> tuple[str, float | None]:

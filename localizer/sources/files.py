@@ -118,7 +118,6 @@ class VideoSource:
             log.warning("%s", damage)
 
     def close(self) -> None:
-        """Close the file."""
         self._reader.close()
 
 

@@ -12,8 +12,6 @@ _FOLLOWED = 16  # pictures in which a drift of a camera's clock is followed
 
 
 class SessionStamps:
-    """The stamps of one session."""
-
     def __init__(self) -> None:
         self._begun = False
         self._first: tuple[str, int] | None = None  # the camera whose clock is the session's; None: it is our own

@@ -43,8 +43,6 @@ class CameraControl:
 
 
 class CameraControls(Protocol):
-    """The controls of one camera."""
-
     def offered(self) -> tuple[CameraControl, ...]:
         """All that can be set, with the present values. Raises ConfigError when the camera cannot be asked."""
 
@@ -59,7 +57,6 @@ class V4l2Controls:
         self._device = device
 
     def offered(self) -> tuple[CameraControl, ...]:
-        """See CameraControls."""
         with self._opened() as camera:
             return tuple(_control(control) for control in camera.controls.values() if _is_number(control))
 

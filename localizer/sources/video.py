@@ -94,7 +94,7 @@ class VideoReader:
         if not missing:
             short_s = self._cut_s() if limit is None else 0.0
             return f"video {self._path}: ends {short_s:.1f} s too early" if short_s else ""
-        text = f"video {self._path}: {len(missing)} of {count} pictures cannot be read: {_ranges(missing)}"
+        text = f"video {self._path}: {len(missing)} of {count} pictures cannot be read: {number_ranges(missing)}"
         if self._lost_without_trace and not self._left_numbers:
             text += "; it was cut off there" + (
                 ", or has lost pictures in between, and later numbers and stamps are too low" if self._is_avi else ""
@@ -102,7 +102,6 @@ class VideoReader:
         return text
 
     def close(self) -> None:
-        """Close the file."""
         self._capture.release()
 
     @property
@@ -188,11 +187,11 @@ def _is_constant(stamps_ms: list[float], rate_hz: float) -> bool:
     return bool(np.all(np.abs(periods - np.rint(periods)) < _ON_GRID))
 
 
-def _ranges(numbers: list[int]) -> str:
+def number_ranges(numbers: list[int]) -> str:
     """Rising numbers in words: 3, 7 to 9, ..."""
-    members = set(numbers)
-    starts = [number for number in numbers if number - 1 not in members]
-    ends = [number for number in numbers if number + 1 not in members]
+    listed = set(numbers)
+    starts = [number for number in numbers if number - 1 not in listed]
+    ends = [number for number in numbers if number + 1 not in listed]
     parts = [str(a) if a == b else f"{a} to {b}" for a, b in zip(starts, ends, strict=True)]
     return ", ".join(parts[:_MOST_NAMED]) + (", ..." if len(parts) > _MOST_NAMED else "")
 

@@ -30,8 +30,6 @@ class Evidence:
 
 @dataclass
 class _Record:
-    """Record of one camera."""
-
     suspected_s: float = 0.0  # for how long it has been suspected without a break
     suspected: bool = False
     well_s: float = 0.0  # for how long nothing has spoken against it, since it is out

@@ -28,17 +28,13 @@ from localizer.detection.fiducials import MarkerPose, MarkerReader
 from localizer.detection.image_regions import ImageRegion, Pixels, RobotShape, cut, whole
 from localizer.sources.health import FrameHealthMonitor
 from localizer.tracking.appearance import LEARNT_AT_MARKERS, LEARNT_AT_MATCHES, AppearanceModel
-from localizer.tracking.attitude_check import AttitudeCheck
-from localizer.tracking.basin_gate import BasinGate
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
 from localizer.tracking.check_marks import CheckedCameraPose
 from localizer.tracking.depth_memory import DepthMemory
-from localizer.tracking.hull_lean import LeanReader
-from localizer.tracking.marker_sizes import MarkerSizes
 from localizer.tracking.observation import Depth, PredictedView, depths_of
+from localizer.tracking.plausibility import AttitudeCheck, BasinGate, MarkerSizes, TwinMarkers
 from localizer.tracking.robot_track import RobotTrack, close_pairs
-from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel, body_to_level
-from localizer.tracking.twin_markers import TwinMarkers
+from localizer.tracking.tilt import Attitude, LeanReader, MotionEstimate, TiltModel, body_to_level
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Circle, PathSpec, Route
 from shoal.frames import Array

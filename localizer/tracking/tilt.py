@@ -1,7 +1,7 @@
 """Tilt of a robot: told by its board, or bounded by its motion. Pure.
 
 The marker plate is above the robot's centre, so roll and pitch move it sideways by height * tilt, which looks like motion of
-the robot. A board that measures roll and pitch tells them (`Attitude`), or the hull's outline does (hull_lean.py), and the
+the robot. A board that measures roll and pitch tells them (`Attitude`), or the hull's outline does (`LeanReader`), and the
 pose is corrected. The marker alone does not tell: a degree moves its corners, 33 px apart, by 0.03 px against each other.
 
 Otherwise the tilt is not known. But a robot tilts because thrust acts below its centre, and its motion tells the
@@ -13,12 +13,16 @@ Sequential Smoothing and Prediction, 1969): the least-squares parabola through t
 less.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from localizer.camera_model import LocalLinearization, RefractiveCamera
+from localizer.detection.hull_outline import find_hull
+from localizer.detection.image_regions import Pixels, cut
 from shoal.config.vehicle import Vehicle
-from shoal.frames import Array
+from shoal.frames import Array, pool_to_body
 
 _MEMORY_S = 0.25  # s; if shorter, picture noise looks like thrust; if longer, a start is seen late (NEES 4 then, 10 at 0.4 s)
 _JUDGED_AFTER_S = 3.0 * _MEMORY_S  # s; before, a robot that was found in motion seems to accelerate
@@ -26,6 +30,10 @@ _SWING_S = 3.0  # s in which a swing falls to 1/e: 2 I / drag of roll and pitch 
 _SWINGS_RADPS2 = 1.6  # rad/s^2, standard deviation of d2/dt2 of roll and pitch: righting moment / inertia at 0.1 rad
 _OLDEST_S = 0.2  # s; a measured attitude that is further from the exposure is not used (32 mrad by the line above)
 _MOST_RAD = 0.5  # rad, upper limit: no swimming robot tilts more, but one that is carried moves as if by any force
+_MOST_LEAN_RAD = 0.3  # rad; more lean is not looked for
+_LEAST_RADIUS_PX = 15.0  # px; on a smaller hull _LEAN_SIGMA_PX alone is more than 3 degrees of lean
+_LEAN_SIGMA_PX = 0.15  # px, floor of the standard deviation: light and shade on the rim, corners of the marker
+_BENT = 0.25  # of the water's slope: by so much it bends lines of sight, which plate and rim see 0.15 m apart
 
 
 @dataclass(frozen=True)
@@ -143,3 +151,31 @@ class TiltModel:
             tilt2 = self.rest_tilt_rad**2 + (0.0 if motion is None else motion.residual_tilt_rad**2)
         aside_m2, turn2 = self.height_m**2 * tilt2, 0.25 * tilt2 * float(down @ down)
         return np.diag([aside_m2, aside_m2, turn2])
+
+
+class LeanReader:
+    """Reader of the lean of one kind of robot: from the places of the plate on top of its hull and of the hull's outline."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._radius_m, self._height_m = vehicle.radius_m, vehicle.marker.height_m
+
+    def read(
+        self, view: RefractiveCamera, frame: Pixels, at: LocalLinearization, plate: Array, depth_m: float, slope_rad: float
+    ) -> Attitude | None:
+        """Roll and pitch of a robot whose `plate` [x, y, yaw] was measured in a frame (height, width), in the row's own
+        instant, with its centre at `depth_m`. None where the hull's outline does not tell."""
+        if self._height_m <= 0.0 or at.px_per_m * self._radius_m < _LEAST_RADIUS_PX or depth_m < self._radius_m / 2.0:
+            return None
+        reach_m = self._height_m * _MOST_LEAN_RAD
+        region = cut(frame, at.nearby_px(plate[:2]), (self._radius_m + 2.0 * reach_m) * at.px_per_m)
+        if region is None:
+            return None
+        expected = np.array([plate[0], plate[1], depth_m])
+        hull = find_hull(view, region.demosaiced(2), expected, self._radius_m, math.ceil(reach_m * at.px_per_m))
+        if hull is None:
+            return None
+        ahead, aside = (pool_to_body(plate[:2] - hull.position_m, float(plate[2])) / self._height_m).tolist()
+        if math.hypot(ahead, aside) > math.sin(_MOST_LEAN_RAD):
+            return None
+        sigma_rad = math.hypot(_LEAN_SIGMA_PX, hull.sigma_px) / (at.px_per_m * self._height_m)
+        return Attitude(math.asin(aside), -math.asin(ahead), math.hypot(sigma_rad, _BENT * slope_rad))

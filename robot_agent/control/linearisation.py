@@ -22,8 +22,6 @@ SURGE, HEAVE, YAW = 0, 2, 3  # axes in nu and Gamma, and in eta but for surge
 
 
 class LinearModel(NamedTuple):
-    """The model and the horizon."""
-
     coefficients: Table  # (3, 4) m, linear and quadratic drag of the four axes
     period_s: float  # between two nodes
     input: Table  # (horizon, blocks): 1 in the block that acts in a step, else 0
@@ -41,8 +39,6 @@ class ControlTask(NamedTuple):
 
 
 class Responses(NamedTuple):
-    """Memory of the responses."""
-
     place: Cube  # (2, nodes, 2 blocks + 1) x and y
     axial: Cube  # (2, nodes, blocks + 1) z and yaw
     rate: Cube  # (3, nodes, blocks + 1) u, w and r

@@ -37,7 +37,6 @@ def exit_code(findings: Sequence[CheckFinding]) -> int:
 
 
 def to_json(findings: Sequence[CheckFinding]) -> str:
-    """Findings as JSON."""
     return json.dumps([{**asdict(finding), "verdict": finding.verdict.name.lower()} for finding in findings], indent=1)
 
 

@@ -104,12 +104,15 @@ class PathWatch:
         self.finding = NO_FINDING  # stays until the next reset
         self._foreseen: deque[_Foreseen] = deque()
         self._moments: deque[_Moment] = deque()
-        self._surprised_s = self._growing_s = 0.0
-        self._stayed_s, self._join_s, self._entry_m = 0.0, 0.0, 0.0
-        self._lasted_s = self._clear_s = 0.0  # the state; nothing in the way
-        self._avoids = False  # at this step
+        self._surprised_s = 0.0  # for which the robot has not been where its plans said
+        self._growing_s = 0.0  # for which it has been farther off than its way back explains
+        self._stayed_s, self._lasted_s = 0.0, 0.0  # in states off the path, and in the present state
+        self._join_s, self._entry_m = 0.0, 0.0  # time allowed for the way back, and its length at first
+        self._clear_s = 0.0  # for which nothing has been in the way
+        self._avoids = False  # something is in the way at this step
         self._at_ns: int | None = None
-        self.force = self._now = 0.0  # that the model does not explain, of full thrust: in the last second, and now at most
+        self.force = 0.0  # that the model does not explain in the last second, as a share of full thrust,
+        self._now = 0.0  # and the most that it may be now
 
     @property
     def has_left(self) -> bool:

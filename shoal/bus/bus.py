@@ -96,6 +96,7 @@ class Inbox(Generic[M]):
         self._senders: dict[int, _Sender] = {}  # by session, the newest last
         self._session = 0  # of the newest message
         self._returned_ns: int | None = None  # when a session was last heard again after another one
+        self._last_read: Received[M] | None = None
 
     def store(self, header: Header, payload: bytes) -> None:
         """A message has come."""
@@ -133,7 +134,13 @@ class Inbox(Generic[M]):
         return tuple(kept.header for kept in self._kept)
 
     def newest(self, up_to_ns: int | None = None) -> Received[M] | None:
-        """The newest valid message; with `up_to_ns` the newest whose stamp is not later. None if there is none."""
+        """The newest valid message; with `up_to_ns` the newest whose stamp is not later. None if there is none. While the bus
+        is muted, the one that was returned last."""
+        if not self._bus.muted or self._topic in topics.CLOCKS:
+            self._last_read = self._newest(up_to_ns)
+        return self._last_read
+
+    def _newest(self, up_to_ns: int | None) -> Received[M] | None:
         for one in reversed(self._kept):
             if up_to_ns is not None and one.header.stamp_ns > up_to_ns:
                 continue
@@ -175,6 +182,9 @@ class Bus:
         self._recipients: dict[str, int] = {}  # by key: session of the process that answers its commands
         self._turns: dict[str, threading.Lock] = {}  # by key: around a message's number and its sending
         self._served: dict[str, Answer] = {}  # by key: the answers to commands
+        self.unreachable: frozenset[int] = frozenset()  # robots that no command reaches
+        self.muted = False
+        self._unsent: list[tuple[Topic, bytes, int, int | None]] = []  # of topics whose messages each count
 
     def _key(self, name: str) -> str:
         return f"{self._fleet}/{name}"
@@ -185,11 +195,24 @@ class Bus:
         """Send a message about the instant `stamp_ns`, which was `age_ns` ago. Returns what went out, for a local log."""
         return self.forward(topic, self._encode(message, stamp_ns), stamp_ns, robot, age_ns)
 
+    def mute(self, muted: bool) -> None:
+        """Be without a radio, or with one again: while muted nothing goes out, and inboxes are read as they last were. What
+        counts one by one goes out afterwards."""
+        self.muted = muted
+        while self._unsent and not muted:
+            topic, payload, stamp_ns, robot = self._unsent.pop(0)
+            self.forward(topic, payload, stamp_ns, robot)
+
     def forward(
         self, topic: Topic, payload: bytes, stamp_ns: int, robot: int | None = None, age_ns: int = 0
     ) -> tuple[str, Header, bytes]:
         """`publish` of what is encoded already."""
         key = self._key(topic.key(robot))
+        if self.muted:
+            if topic.qos not in topics.RECOVERED:
+                return key, self._next_header(key, stamp_ns, age_ns), payload  # the numbers of what was lost are missing
+            self._unsent.append((topic, payload, stamp_ns, robot))
+            return key, Header(self.session, 0, stamp_ns, age_ns), payload
         with self._turns.setdefault(key, threading.Lock()):  # numbered and sent in one order, also from several threads
             if key not in self._publishers:
                 self._publishers[key] = self.transport.publisher(key, topic.qos, topic.cache_depth)
@@ -317,6 +340,8 @@ class Bus:
 
         The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
         started again is refused: what it was meant for is no more. So is a second try that would come after a later order."""
+        if command.robot in self.unreachable:
+            return lambda: self._read(command, "", None, timeout_s)
         key = self._key(topics.COMMAND_KEY.format(robot=command.robot if to is None else to))
         recipient = self._recipients.get(key, 0)
         first = self._ask(key, replace(command, recipient=recipient), stamp_ns, timeout_s)

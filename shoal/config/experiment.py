@@ -442,8 +442,15 @@ def checked_experiment(
     """The experiment of a parsed file; `table` is changed. Raises ConfigError."""
     _insert_files(table, path)
     for setting in settings:
-        apply_setting(table, setting)
-        _insert_files(table, path)
+        try:
+            apply_setting(table, setting)
+        except ConfigError as error:
+            raise ConfigError(f"--set {error}") from None
+        try:
+            _insert_files(table, path)
+        except ConfigError as error:
+            lines = (line.removeprefix(f"{path}: ") for line in str(error).splitlines())
+            raise ConfigError("\n".join(f"--set {setting}: {line}" for line in lines)) from None
     _insert_nodes(table)
     sim = table.setdefault("sim", {}) if faults else None
     of_file = 0
@@ -451,11 +458,34 @@ def checked_experiment(
         of_file = len(sim["faults"])
         sim["faults"] += map(fault_table, faults)
     try:
-        return check(Experiment, table, str(path))
+        return _with_the_vehicles_body(check(Experiment, table, str(path)))
     except ConfigError as error:
         given = {f"sim.faults.{k}": f"--fault {fault!r}" for k, fault in enumerate(faults, of_file)}
         given |= {setting.partition("=")[0].strip(): f"--set {setting}" for setting in settings}
         raise ConfigError("\n".join(_of_option(line, path, given) for line in str(error).splitlines())) from None
+
+
+def _with_the_vehicles_body(experiment: Experiment) -> Experiment:
+    """The experiment with a simulated body of its vehicle's righting moment and number of cells, where it says nothing else of
+    them: a vehicle's file alone is enough to fly it in the simulator."""
+    sim, plant, righting = experiment.sim, experiment.sim.plant, experiment.vehicle.righting
+    packs = experiment.vehicle.battery.cells / 3  # defaults are those of three cells
+    body = {}
+    if righting is not None:
+        inertia_kg_m2 = righting.moment_nm * (righting.swing_s / math.tau) ** 2
+        body = {
+            "righting_nm": righting.moment_nm,
+            "inertia_kg_m2": float(f"{inertia_kg_m2:.2g}"),  # a period is measured no better
+            "legs_below_m": righting.thrusters_below_m,
+        }
+
+    def derived(section: Any, values: Mapping[str, float]) -> Any:
+        return section.model_copy(update={key: value for key, value in values.items() if key not in section.model_fields_set})
+
+    battery = derived(plant.battery, {"curve_v": plant.battery.curve_v * packs})
+    plant = plant.model_copy(update={"tilt": derived(plant.tilt, body), "battery": battery})
+    sensors = derived(sim.sensors, {"battery_v": sim.sensors.battery_v * packs})
+    return experiment.model_copy(update={"sim": sim.model_copy(update={"plant": plant, "sensors": sensors})})
 
 
 def _of_option(line: str, path: Path, given: Mapping[str, str]) -> str:

@@ -87,6 +87,7 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
             "slow": Effect("messages come late", "delay in s", 0.1, 0.0, 5.0),
         },
     ),
+    "radio": ("ROBOT", {"dead": Effect("nothing passes between its computer and the fleet, both ways")}),
     "process": (
         "NAME",
         {"killed": Effect("SIGKILL; NAME as in the run's `logs/`"), "stopped": Effect("SIGSTOP: the process is frozen")},

@@ -34,8 +34,6 @@ UNITS = {
 
 @dataclass(frozen=True)
 class KeyEntry:
-    """One key of a file."""
-
     name: str  # dotted, as `--set` takes it; N is an index of a list
     when: str  # the kind of path that has it; empty for all other keys
     type: str
@@ -160,7 +158,6 @@ def _entry(name: str, when: str, value: dict[str, Any], required: bool, live: bo
 
 
 def _models(root: type[Section]) -> Iterator[type[Section]]:
-    """A model and all that it holds."""
     yield root
     for field in root.model_fields.values():
         for section in sections_of(field.annotation):

@@ -82,16 +82,17 @@ def _frozen(value: Any) -> Any:
 
 
 def apply_setting(table: dict[str, Any], setting: str) -> None:
-    """Apply one `--set key.sub=value` to a parsed table, in place. The value is read as TOML, else taken as text."""
+    """Apply one setting `key.sub=value` to a parsed table, in place. The value is read as TOML, else taken as text. Raises
+    ConfigError that begins with the setting."""
     key, equals, text = setting.partition("=")
     if not equals or not key.strip():
-        raise ConfigError(f"--set {setting}: write it as key=value, for example --set duration_s=30")
+        raise ConfigError(f"{setting}: has no value: write it as key=value")
     try:
         parsed = _parsed(f"v = {text}")
     except (ValueError, RecursionError):
         parsed = {"v": text}
     if len(parsed) > 1:
-        raise ConfigError(f"--set {setting!r}: holds more than one key (allowed: one; give --set once for each)")
+        raise ConfigError(f"{setting!r}: holds more than one key (allowed: one; give each by itself)")
     value = parsed["v"]
     *parents, last = key.strip().split(".")
     node: Any = table
@@ -102,7 +103,7 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
     elif isinstance(node, dict):
         node[last] = value
     else:
-        raise ConfigError(f"--set {setting}: {'.'.join(parents)} is a value, not a table")
+        raise ConfigError(f"{setting}: {'.'.join(parents)} is a value, not a table")
 
 
 def toml_value(value: Any) -> str:
@@ -120,14 +121,14 @@ def _child(node: Any, name: str, setting: str, where: str) -> Any:
         return node[_list_index(node, name, setting)]
     if isinstance(node, dict):
         return node.setdefault(name, {})
-    raise ConfigError(f"--set {setting}: {where} is a value, not a table")
+    raise ConfigError(f"{setting}: {where} is a value, not a table")
 
 
 def _list_index(node: list[Any], name: str, setting: str) -> int:
     if name.isdecimal() and int(name) < len(node):
         return int(name)
     allowed = f"0 to {len(node) - 1}" if node else "none, the list is empty"
-    raise ConfigError(f"--set {setting}: {name!r} is no index of a list of {len(node)} (allowed: {allowed})")
+    raise ConfigError(f"{setting}: {name!r} is no index of a list of {len(node)} (allowed: {allowed})")
 
 
 _IN_WORDS = {

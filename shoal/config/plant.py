@@ -18,15 +18,15 @@ class Tilt(Section):
     enabled: bool = True
     """Simulate them. False: 4 degrees of freedom."""
     righting_nm: Positive = 1.9
-    """Righting moment per sine of the tilt."""
+    """Righting moment per sine of the tilt. Default: the vehicle's."""
     inertia_kg_m2: Positive = 0.12
-    """Inertia about the axes of roll and pitch, added mass included."""
+    """Inertia about the axes of roll and pitch, added mass included. Default: by the vehicle's free swing."""
     drag_linear: Positive = 0.08
     """Linear drag of roll and pitch, N m s."""
     drag_quadratic: NotNegative = 0.10
     """Quadratic drag of roll and pitch, N m s^2."""
     legs_below_m: Annotated[float, Field(ge=-1, le=1)] = 0.05
-    """Thrusters' distance below the centre. If positive, thrust ahead lifts the bow."""
+    """Thrusters' distance below the centre. If positive, thrust ahead lifts the bow. Default: the vehicle's."""
 
 
 class WavesConfig(Section):
@@ -46,7 +46,7 @@ class PlantBatteryConfig(Section):
     capacity_wh: NotNegative = 55.0
     """Capacity. 0: it never drains, and thrusters follow their curve exactly."""
     curve_v: Positive = 12.0
-    """Voltage at which vehicle.thruster.curve was measured."""
+    """Voltage at which vehicle.thruster.curve was measured. Default: 4 V for each of the vehicle's cells."""
     thruster_w: NotNegative = 25.0
     """Power of one thruster at full thrust; it goes with thrust^1.5."""
     electronics_w: NotNegative = 10.0

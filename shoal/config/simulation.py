@@ -64,7 +64,7 @@ class Sensors(Section):
     pressure_bias_m: NotNegative = 0.003
     """Bias of the depth."""
     battery_v: Positive = 12.4
-    """Voltage at the start, without load."""
+    """Voltage at the start, without load. Default: 4.13 V for each of the vehicle's cells."""
     battery_noise_v: NotNegative = 0.02
     """Noise of the voltage."""
     battery_sag_v: NotNegative = 0.5

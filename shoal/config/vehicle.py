@@ -395,5 +395,7 @@ def load_vehicle(name_or_path: str, relative_to: Path | None = None) -> Vehicle:
         path = VEHICLES / f"{name_or_path}.toml"
         if not path.is_file():
             names = ", ".join(sorted(p.stem for p in VEHICLES.glob("*.toml")))
-            raise ConfigError(f"vehicle = {name_or_path!r}: no such vehicle (allowed: {names}, or a path ending in .toml)")
+            raise ConfigError(
+                f"vehicle = {name_or_path!r}: no such vehicle (allowed: {names}, or a path ending in .toml: docs/vehicle.md)"
+            )
     return check(Vehicle, read_toml(path), str(path))

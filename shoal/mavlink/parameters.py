@@ -56,7 +56,6 @@ class ParameterClient:
         return b"".join(map(self._sender.pack, self._list.requests(self.robot_id or 0, BOARD_COMPONENT)))
 
     def ask(self, name: str) -> bytes:
-        """Ask for one."""
         self.error = None
         message = dialect.MAVLink_param_request_read_message(self.robot_id or 0, BOARD_COMPONENT, name.encode("ascii"), -1)
         return self._sender.pack(message)

@@ -115,7 +115,6 @@ def _growing(cls: Any) -> tuple[str, ...]:
 
 @cache
 def _wrenches(cls: Any) -> tuple[str, ...]:
-    """Names of the wrenches."""
     return tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("wrench"))
 
 

@@ -98,7 +98,6 @@ def tuned(controller: ControllerConfig, values: Mapping[str, float]) -> Controll
 
 
 def _names(keys: set[str]) -> list[str]:
-    """The names for people: a list has one name."""
     return sorted({key.rpartition(".")[0] if key.rpartition(".")[2].isdecimal() else key for key in keys})
 
 

@@ -169,6 +169,13 @@ class Tick:
     robots: Annotated[tuple[Uint32, ...], 4] = ()  # Robots that take part.
     board_ms: Annotated[tuple[Uint32, ...], 5] = ()  # For each robot, the board's time of the last sensor burst that counts.
     frames_ns: Annotated[tuple[Int64, ...], 6] = ()  # For each of several cameras, stamp of its newest frame; -1: none yet.
+    no_radio: Annotated[tuple[Uint32, ...], 7] = ()  # Robots whose radio is dead at this step.
+    unheard: Annotated[tuple[Uint32, ...], 8] = ()  # Robots whose radio was dead at the step before: nothing of it comes.
+
+    @property
+    def heard_robots(self) -> tuple[int, ...]:
+        """Robots whose messages of the step before come."""
+        return tuple(robot for robot in self.robots if robot not in self.unheard)
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,7 +58,6 @@ def _width(hint: Any) -> tuple[Any, Any]:
 
 
 def _field(package: str, field: dataclasses.Field[Any], hint: Any) -> tuple[FieldDescriptorProto, type[IntEnum] | None]:
-    """The description of one field, and the enum that it refers to."""
     kind, simple = _width(hint)
     nested = nested_message(kind)
     optional = nested is None and may_be_absent(kind)

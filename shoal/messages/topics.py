@@ -96,6 +96,7 @@ def _limited(limit: str, name: str, kind: type, rate_hz: float, recorded: bool, 
 
 TICK = Topic("sim/tick", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))
 EXPOSED = Topic("sim/exposed", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))  # to the localizer, early
+CLOCKS = (TICK, EXPOSED)  # simulated time, which reaches robots without a radio too
 TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, (Role.SIMULATOR,), OBSERVERS)
 FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, POSE_SOURCES)
 PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))

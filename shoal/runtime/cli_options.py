@@ -3,12 +3,16 @@ them."""
 
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import TypeAdapter, ValidationError
 
-from shoal.config.experiment import EXPERIMENTS
+from shoal.config.experiment import EXPERIMENTS, Experiment
+from shoal.errors import ConfigError
+from shoal.runtime.output_files import RUN
 from shoal.runtime.version import code
 
 DEFAULT_STATION = "tcp/127.0.0.1:7447"
@@ -49,6 +53,39 @@ def finite(value: Any) -> Any:
     return value
 
 
+def _limit_of(key: str) -> Callable[[Any], Any]:
+    """Callback of an option for one key of the experiment: the same limits, told of the option."""
+    field = Experiment.model_fields[key]
+    allowed = TypeAdapter[Any](Annotated[field.annotation, *field.metadata])  # type: ignore[arg-type]
+
+    def checked(value: Any) -> Any:
+        if finite(value) is not None:
+            try:
+                allowed.validate_python(value)
+            except ValidationError as error:
+                raise typer.BadParameter(f"{value:g}: {error.errors()[0]['msg']}") from None
+        return value
+
+    return checked
+
+
+def as_run(named: Any) -> Any:
+    """Runs as a person names them, by folder or by log. Raises ConfigError for what is none."""
+    return [_run_folder(one) for one in named] if isinstance(named, list | tuple) else named and _run_folder(named)
+
+
+def _run_folder(named: Path) -> Path:
+    folder = named.parent if named.name == RUN[0] and named.is_file() else named
+    if not folder.is_dir():
+        raise ConfigError(f"{named}: {'is no folder' if named.exists() else 'no such folder'} {_A_RUN}")
+    if not any((folder / file).exists() for file in RUN[:2]):
+        raise ConfigError(f"{named}: {' and '.join(RUN[:2])} are missing there {_A_RUN}")
+    return folder
+
+
+_A_RUN = f"(allowed: a run's folder, such as runs/pool-20260101-120000, or its {RUN[0]})"
+
+
 def experiments(begun: str) -> list[str]:
     """Completions of an experiment's name: the shipped ones, and files and folders here."""
     folder, _, name = begun.rpartition("/")
@@ -74,6 +111,13 @@ ExperimentName = Annotated[
         help="A shipped experiment, for example `pool`, or a path ending in .toml.",
         autocompletion=experiments,
     ),
+]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", callback=as_run)]
+Seed = Annotated[
+    int | None, typer.Option(help="Seed of everything random; default: the experiment's.", callback=_limit_of("seed"))
+]
+Duration = Annotated[
+    float | None, typer.Option(help="Seconds to fly; default: the experiment's.", callback=_limit_of("duration_s"))
 ]
 Settings = Annotated[
     list[str] | None,

@@ -326,15 +326,28 @@ def new_run_folder(out: Path, name: str) -> Path:
 @contextmanager
 def run_folder(out: Path, name: str) -> Iterator[Path]:
     """A `new_run_folder`, which is taken away again, and `out` with it if it is new, where nothing was put into it."""
-    is_new = not out.exists()
-    folder = new_run_folder(out, name)
-    try:
+    with folder_in_use(out), _empty_ones_removed(folder := new_run_folder(out, name)):
         yield folder
+
+
+@contextmanager
+def folder_in_use(folder: Path) -> Iterator[Path]:
+    """A folder, made where it is missing; a new one is taken away again where nothing was put into it. Raises ConfigError."""
+    is_new = not folder.exists()
+    with os_errors_as_config_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with _empty_ones_removed(*([folder] if is_new else [])):
+        yield folder
+
+
+@contextmanager
+def _empty_ones_removed(*folders: Path) -> Iterator[None]:
+    try:
+        yield
     finally:
-        with suppress(OSError):  # what holds something stays
-            folder.rmdir()
-            if is_new:
-                out.rmdir()
+        for folder in folders:
+            with suppress(OSError):  # what holds something stays
+                folder.rmdir()
 
 
 def disk_free(folder: Path) -> int:

@@ -128,7 +128,6 @@ def _in_hil(wire: BoardWire, client: ParameterClient) -> bool:
 
 
 def _print_results(outcomes: Iterable[RuleResult], quiet: bool) -> Iterator[RuleResult]:
-    """Print each result as it comes."""
     for outcome in outcomes:
         if not quiet:
             verdict = typer.style(f"{outcome.verdict.value:8}", fg=COLOURS[outcome.verdict])

@@ -23,8 +23,6 @@ class RuleVerdict(Enum):
 
 @dataclass(frozen=True)
 class RuleResult:
-    """The result of one rule."""
-
     rule: str
     requirement: str
     verdict: RuleVerdict

@@ -62,6 +62,7 @@ class BodySprite:
         self._set_plate(plate, texels_per_m)
 
     def _set_plate(self, plate: Bytes, texels_per_m: float) -> None:
+        """Put a picture of a marker, (texels, texels, 2), on the body's top."""
         layers = np.ascontiguousarray(np.moveaxis(plate, -1, 0))  # brightness and coverage
         self._half_m = float(np.sqrt(0.5) * plate.shape[0] / texels_per_m)  # from its middle to a corner, margin included
         self._paint = BodyPaint(self.radius_m, self.height_m, self._skin, self._half_m > 0.0, layers, float(texels_per_m))

@@ -212,8 +212,6 @@ class BlockView(NamedTuple):
 
 
 class BlockWaves(NamedTuple):
-    """The water at a time."""
-
     weights: Plane  # of the basis
     pattern: Blend  # of the caustics
     wave: Floats  # SurfaceWave.at

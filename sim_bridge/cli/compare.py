@@ -10,9 +10,9 @@ import typer
 
 from shoal.config.experiment import NO_CAMERA, experiment_path, load_experiment
 from shoal.errors import ConfigError
-from shoal.runtime.cli_options import ExperimentName, Settings, finite
+from shoal.runtime.cli_options import Duration, ExperimentName, Settings, finite
 from shoal.runtime.output import background, terminal
-from shoal.runtime.output_files import COMPARISON, check_output, new_run_folder
+from shoal.runtime.output_files import COMPARISON, check_output, folder_in_use, run_folder
 
 FIRST_OR_RANGE = "N or FIRST-LAST"
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes that fly; default: one per core.")]
@@ -37,7 +37,7 @@ def compare(
     scatter: Annotated[
         float, typer.Option(min=0.0, help="Starts are moved by up to this much per seed, m and rad.", callback=finite)
     ] = 0.1,
-    duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.", callback=finite)] = None,
+    duration: Duration = None,
     jobs: Jobs = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: runs/compare-EXPERIMENT-TIME.")] = None,
     _: Annotated[
@@ -62,13 +62,13 @@ def compare(
     chosen = _names(laws, [*VARIANTS, *(law.strip() for law in laws.split(",") if ":" in law)] if laws else VARIANTS, "--laws")
     overrides = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
     name = load_experiment(experiment, [*overrides, NO_CAMERA]).name
-    folder = out or new_run_folder(Path("runs"), f"compare-{name}")
-    for file in COMPARISON:
-        check_output(folder / file, [experiment_path(experiment)], mine=COMPARISON)
-    if (folder / COMPARISON[0]).exists():
-        raise ConfigError(f"{folder}: holds a comparison already (--out FOLDER makes another)")
-    folder.mkdir(parents=True, exist_ok=True)
-    raise typer.Exit(comparing.run(experiment, overrides, chosen, numbers, scatter, _cores(jobs), folder, console))
+    with run_folder(Path("runs"), f"compare-{name}") if out is None else folder_in_use(out) as folder:
+        for file in COMPARISON:
+            check_output(folder / file, [experiment_path(experiment)], mine=COMPARISON)
+        if (folder / COMPARISON[0]).exists():
+            raise ConfigError(f"{folder}: holds a comparison already (--out FOLDER makes another)")
+        code = comparing.run(experiment, overrides, chosen, numbers, scatter, _cores(jobs), folder, console)
+    raise typer.Exit(code)
 
 
 def tune(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from shoal.runtime.cli_options import AsJson, Settings
+from shoal.runtime.cli_options import AsJson, RunFolder, Settings
 from shoal.runtime.output import terminal
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def rerun(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    run_folder: RunFolder,
     settings: Settings = None,
     robots: Annotated[list[int] | None, typer.Option("--robot", help="Only this robot. Repeatable.")] = None,
     figures: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Draw both there, one PDF a robot.")] = None,
@@ -48,7 +48,6 @@ def rerun(
 
 
 def _tell(comparisons: "list[StepComparison]") -> None:
-    """The comparison as tables."""
     from rich.table import Table
 
     console = terminal()

@@ -10,7 +10,18 @@ import typer
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.kernels.build import ensure_compiled
-from shoal.runtime.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments, finite
+from shoal.runtime.cli_options import (
+    Duration,
+    ExperimentName,
+    FaultLines,
+    KeyRing,
+    Seed,
+    Settings,
+    as_run,
+    caution,
+    experiments,
+    finite,
+)
 from shoal.runtime.output import background, terminal
 from shoal.runtime.output_files import new_run_folder
 from shoal.runtime.runtime import Stop
@@ -22,8 +33,6 @@ if TYPE_CHECKING:
 
     from sim_bridge.sil.commands import RunOptions
 
-Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
-Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.", callback=finite)]
 OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder.")]
 
 
@@ -64,7 +73,10 @@ def sil(
         bool, typer.Option("--dry-run", help="Only say what would be flown and started, or why it cannot be.")
     ] = False,
     source: Annotated[
-        Path | None, typer.Option("--from", metavar="RUN", help="Go on from a moment of this run, instead of an EXPERIMENT.")
+        Path | None,
+        typer.Option(
+            "--from", metavar="RUN", help="Go on from a moment of this run, instead of an EXPERIMENT.", callback=as_run
+        ),
     ] = None,
     at: Annotated[
         float, typer.Option(min=0.0, help="With --from: the moment, in seconds along the trajectories.", callback=finite)
@@ -260,7 +272,6 @@ def _changes(seed: int | None, duration_s: float | None, settings: list[str] | N
 def _go_on(
     experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
 ) -> NoReturn:
-    """Run `sil --from`."""
     from sim_bridge.in_process import resume, run
 
     if experiment is not None:

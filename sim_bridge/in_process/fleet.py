@@ -27,11 +27,11 @@ from shoal.frames import Array, pose_error
 from shoal.mavlink.agent_link import Telemetry
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, Event, Message, Pose, Reply, RobotState, Trajectory, Truth
+from shoal.messages.messages import Command, CommandKind, Event, Message, Pose, Reply, RobotState, Trajectory
 from shoal.messages.topics import Topic
 from sim_bridge.fault_schedule import FaultSchedule
 from sim_bridge.node.ideal_localizer import IdealLocalizer
-from sim_bridge.plant.fleet import Plant
+from sim_bridge.plant.fleet import PlantRun
 from sim_bridge.plant.sensors import BoardSensors
 
 NS = 1_000_000_000
@@ -57,14 +57,12 @@ class SimulatedPlant(Protocol):
     def act(self, i: int, outputs: Outputs) -> None: ...
 
 
-class DirectPlant:
+class DirectPlant(PlantRun):
     """The plant without boards: pulses go straight to the thrusters, and sensor readings straight to the agent."""
 
     def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
-        steps, step_ns = experiment.plant_steps, round(experiment.sim.plant.step_s * NS)
-        self._plant = Plant(experiment, seed)
-        self._state = self._plant.start(starts)
-        self._step_ns, self._steps_a_period = step_ns, steps
+        super().__init__(experiment, seed, starts)
+        self._steps_a_period = experiment.plant_steps
         self._sensors = [BoardSensors(experiment, robot, seed) for robot in experiment.robot_ids]
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
@@ -88,30 +86,6 @@ class DirectPlant:
         self._state = replace(self._state, eta=eta, nu=nu, tilt=np.zeros_like(eta), steps=now_ns // self._step_ns)
         self._pulses_us, self._armed, self._begin_ns = pulses_us[-1].copy(), list(armed), begin_ns
         self._note_voltage()
-
-    @property
-    def now_ns(self) -> int:
-        """Time since the robots were let go."""
-        return self._state.steps * self._step_ns
-
-    @property
-    def eta(self) -> Array:
-        """Poses now, (n, 4)."""
-        return self._state.eta
-
-    @property
-    def nu(self) -> Array:
-        """Velocities now, (n, 4)."""
-        return self._state.nu
-
-    @property
-    def tilt(self) -> Array:
-        """Roll, pitch and their rates now, (n, 4)."""
-        return self._state.tilt
-
-    def truth(self) -> Truth:
-        """The state now, for the log."""
-        return self._plant.truth(self._state)
 
     def advance(self, to_ns: int) -> None:
         """Move on to the first plant step at or after `to_ns`."""

@@ -146,7 +146,8 @@ def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str])
 
 
 def faults_by_hand(run: Path) -> list[str]:
-    """The faults that a person made in a recorded run, as --fault takes them, those that such a flight can have."""
+    """Faults that a person made in a recorded run, as --fault takes them; without those that need a camera, a board or a
+    network."""
     faults: list[tuple[float, float, str]] = []  # instant, duration, what
     for entry in read_log(run / "run.mcap", (topics.EVENT,)).of(topics.EVENT, Event):
         line = entry.message.message

@@ -31,6 +31,7 @@ class AgentPace:
 
     def __init__(self, node: AgentNode, robot: int, bus: Bus, clock: LockstepClock) -> None:
         self._node, self._robot = node, robot
+        self._bus = bus
         self._lockstep = Lockstep(bus, node.stop, clock)
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
 
@@ -44,12 +45,17 @@ class AgentPace:
     def _await_inputs(self, tick: Tick) -> StepTime | None:
         """Wait for all inputs of a tick. None when told to stop."""
         node, lockstep = self._node, self._lockstep
+        self._bus.mute(self._robot in tick.no_radio)
+        if self._bus.muted:
+            return StepTime(tick.now_ns, tick.previous_ns) if self._await_board(tick) else None
         up_to_ns = lockstep.await_sight(tick, self._localizer, {self._robot: node.poses}, node.obstacles)
         if up_to_ns is None or not lockstep.await_all([(node.heartbeats, tick.now_ns)]):
             return None
         heartbeat = node.heartbeats.newest()
         planned = heartbeat.message.planned if heartbeat is not None else ()
-        plans = [(inbox, tick.previous_ns) for robot, inbox in node.plans.items() if robot in planned]
+        plans = [
+            (inbox, tick.previous_ns) for robot, inbox in node.plans.items() if robot in planned and robot not in tick.unheard
+        ]
         here = lockstep.await_all(plans) and self._await_board(tick)
         return StepTime(tick.now_ns, tick.previous_ns, up_to_ns) if here else None
 

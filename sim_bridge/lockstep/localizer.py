@@ -83,7 +83,7 @@ class LockstepSource:
             frame_ns = tick.frame_ns if self._number is None else dict(enumerate(tick.frames_ns)).get(self._number, -1)
             if frame_ns <= done_ns:  # one of several cameras may be late, or gone
                 continue
-            states = [(self._states[robot], tick.previous_ns) for robot in tick.robots]
+            states = [(self._states[robot], tick.previous_ns) for robot in tick.heard_robots]
             if not self._lockstep.await_all([(self._frames, frame_ns), *states]):
                 return
             received = self._frames.newest(frame_ns)

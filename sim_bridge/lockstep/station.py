@@ -24,9 +24,10 @@ class StationPace:
     def __iter__(self) -> Iterator[int]:
         station, lockstep, inboxes = self._station, self._lockstep, self._station.inboxes
         while (tick := lockstep.next()) is not None:
+            station.bus.unreachable = frozenset(tick.no_radio)
             # What the robots found in the step before, and where the picture shows them.
             up_to_ns = lockstep.await_sight(tick, inboxes.localizer, inboxes.poses, inboxes.obstacles)
-            if up_to_ns is None or not lockstep.await_all([(inboxes.states[r], tick.previous_ns) for r in tick.robots]):
+            if up_to_ns is None or not lockstep.await_all([(inboxes.states[r], tick.previous_ns) for r in tick.heard_robots]):
                 return
             station.recorder.whole_until_ns = tick.previous_ns  # whenever it ends: no step of which some robots are missing
             station.obstacles_up_to_ns = up_to_ns

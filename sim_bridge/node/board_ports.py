@@ -133,7 +133,6 @@ class UdpPort:
         self._heard_ns.clear()
 
     def send(self, data: bytes, now_ns: int) -> None:
-        """Send to all peers."""
         for peer, heard_ns in list(self._heard_ns.items()):
             if now_ns - heard_ns > PEER_GONE_NS and len(self._heard_ns) > 1:
                 del self._heard_ns[peer]
@@ -148,7 +147,6 @@ class UdpPort:
         return self.socket.fileno()
 
     def close(self) -> None:
-        """Free the port."""
         self.socket.close()
 
 

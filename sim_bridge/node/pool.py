@@ -64,6 +64,7 @@ class PoolNode:
         self._frame_index = 0
         self._pending: deque[Exposure] = deque()  # lockstep: exposed, and not old enough yet to count at a control step
         self._frame_ns = self._obstacles_ns = -1
+        self._no_radio: tuple[int, ...] = ()  # robots without one at the last control step
         self._neutral = dict.fromkeys(experiment.robot_ids, True)
 
     def run(self) -> None:
@@ -117,6 +118,9 @@ class PoolNode:
         become neutral or thrusting."""
         while self._requests:
             request = self._requests.popleft()
+            if self._lockstep is None and request.what.startswith("radio"):
+                log.warning("%s: only in simulated time: start the run without --real-time", request.what)
+                continue
             log.info("%s%s", BY_HAND, world.break_by_hand(request.what, request.for_s) or "nothing to mend")
         for text in world.apply_faults():
             log.info(text)
@@ -296,7 +300,9 @@ class PoolNode:
             self._publish_exposure(self._pending.popleft(), newest_ns)
         next_ns = self._pending[0].stamp_ns if self._pending else world.exposure_ns
         if self._frame_ns > before_ns and next_ns > newest_ns:
-            exposed = Tick(tick_ns, previous_ns, self._frame_ns, self._present_robots, frames_ns=self._frames_ns)
+            exposed = Tick(
+                tick_ns, previous_ns, self._frame_ns, self._present_robots, (), self._frames_ns, unheard=self._no_radio
+            )
             self._bus.publish(topics.EXPOSED, exposed, tick_ns)
 
     @property
@@ -315,7 +321,8 @@ class PoolNode:
             return
 
         def here() -> bool:
-            headers = [self._states[robot].newest_header() for robot in robots if f"agent-{robot}" in self._bus.present]
+            awaited = [robot for robot in robots if robot not in self._no_radio and f"agent-{robot}" in self._bus.present]
+            headers = [self._states[robot].newest_header() for robot in awaited]
             return all(header is not None and header.stamp_ns >= stamp_ns for header in headers)
 
         while not (wait(self._bus, self._stop, here, LOCKSTEP_SAYS_S) or self._stop.requested):
@@ -329,7 +336,8 @@ class PoolNode:
         self._await_states(world, robots, previous_ns)
         before = [self._sockets.commands[i] for i in indices]
         board_ms = tuple(self._sockets.burst_ms[i] for i in indices)
-        tick = Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms, self._frames_ns)
+        unheard, self._no_radio = self._no_radio, tuple(sorted(world.faults.without_radio))
+        tick = Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms, self._frames_ns, self._no_radio, unheard)
         self._bus.publish(topics.TICK, tick, tick_ns)
         self._render_ahead(world)
         reminder = Reminder()

@@ -19,8 +19,6 @@ THRUST_EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10
 
 
 class BatteryPack(NamedTuple):
-    """Constants of the batteries."""
-
     is_ideal: bool
     charge: Floats
     cell_v: Floats

@@ -21,8 +21,6 @@ COINCIDENT_M = 1e-9  # m, least distance of two centres, against division by zer
 
 
 class BasinContact(NamedTuple):
-    """Constants of contact."""
-
     inside_m: Vector  # limits of centres, on both sides in x and y; in z a floor only, the surface is the hull's (restoring)
     islands_m: Table  # x, y and radius of each
     radius_m: float  # of the hulls

@@ -133,6 +133,40 @@ class Plant:
         return Truth(self._robots, state.eta.copy(), state.nu.copy(), wrench, acceleration - expected)
 
 
+class PlantRun:
+    """A plant and the state that it has reached."""
+
+    def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
+        """Put the robots in at `starts`, poses (n, 4) in the pool frame."""
+        self._plant = Plant(experiment, seed)
+        self._state = self._plant.start(starts)
+        self._step_ns = round(experiment.sim.plant.step_s * 1e9)
+
+    @property
+    def now_ns(self) -> int:
+        """Plant time since the start."""
+        return self._state.steps * self._step_ns
+
+    @property
+    def eta(self) -> Array:
+        """Poses now, (n, 4)."""
+        return self._state.eta
+
+    @property
+    def nu(self) -> Array:
+        """Velocities now, (n, 4)."""
+        return self._state.nu
+
+    @property
+    def tilt(self) -> Array:
+        """Roll, pitch and their rates now, (n, 4)."""
+        return self._state.tilt
+
+    def truth(self) -> Truth:
+        """The state now, for the log; no controller may read it."""
+        return self._plant.truth(self._state)
+
+
 def nominal_acceleration(vehicle: Vehicle, nu: Array, wrench: Array, sway: bool) -> Array:
     """d/dt (n, 4) of the velocities nu by the vehicle file's numbers, in still water: each axis has its own drag, and of
     Coriolis terms m_v v r on surge and -m_u u r on sway. `wrench` (n, 3) is surge, heave, yaw; (n, 4) with sway."""

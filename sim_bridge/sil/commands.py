@@ -92,6 +92,12 @@ def check(experiment: Experiment, options: RunOptions) -> None:
             f"{'--one-process has none to break' if options.one_process else 'processes break by the wall clock'}: it needs "
             "--real-time",
         )
+    else:
+        fault_schedule.require_kinds(
+            experiment,
+            tuple(kind for kind in KINDS if kind != "radio"),
+            "radios are the simulated time's: without --real-time",
+        )
     if options.poses:
         fault_schedule.require_kinds(
             experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker", "water")), "--poses needs no camera"

@@ -169,7 +169,6 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
 
 
 def print_error(console: Console, text: str) -> None:
-    """Print in red."""
     console.print(text, style="red", highlight=False, soft_wrap=True)
 
 

@@ -41,8 +41,6 @@ class Child:
 
 @dataclass
 class Children:
-    """All processes of one run."""
-
     log_dir: Path
     clocks: frozenset[str] = frozenset()  # names of processes whose wall clock will be set, by clock_file
     all: list[Child] = field(default_factory=list)
@@ -78,7 +76,6 @@ class Children:
         return self.log_dir / f"{name}.clock"
 
     def ended(self) -> list[Child]:
-        """The processes that have ended."""
         return [child for child in self.all if child.exit_code is not None]
 
     def stop(self) -> None:

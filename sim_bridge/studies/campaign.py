@@ -80,7 +80,6 @@ class Campaign(Section):
 
     @property
     def flights(self) -> int:
-        """Number of flights."""
         return self.seeds * math.prod(len(values) for values in self.sweep.values())
 
     @property
@@ -98,8 +97,6 @@ class Campaign(Section):
 
 @dataclass(frozen=True)
 class CampaignFlight:
-    """One flight of a campaign."""
-
     index: int
     seed: int
     values: dict[str, Any]  # of the keys that are swept or drawn

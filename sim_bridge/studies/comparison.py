@@ -49,8 +49,6 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class FlightTask:
-    """One flight to fly."""
-
     experiment: Experiment
     trajectories: Mapping[int, Trajectory]
     starts: Array  # (n, 4)

@@ -86,12 +86,10 @@ def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolE
 
 
 def values(section: FeedbackLawConfig) -> list[float]:
-    """All gains in the order of the section."""
     return [gain for value in section.model_dump().values() for gain in (value if isinstance(value, tuple) else (value,))]
 
 
 def with_gains(section: FeedbackLawConfig, gains: Array) -> FeedbackLawConfig:
-    """The section with other gains."""
     rest = iter(gains.tolist())
     table = {
         name: tuple(next(rest) for _ in value) if isinstance(value, tuple) else next(rest)

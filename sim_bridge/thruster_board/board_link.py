@@ -50,8 +50,6 @@ class Override:
 
 @dataclass(frozen=True)
 class Arm:
-    """Arm or disarm."""
-
     arm: bool
 
 
@@ -251,7 +249,6 @@ class BoardLink:
         return self._sender.pack(dialect.MAVLink_scaled_imu_message(board_ms, *force_mg, 0, 0, gyro_mradps, 0, 0, 0))
 
     def pressure(self, board_ms: int, depth_m: float) -> bytes:
-        """Water pressure."""
         hpa = depth_to_hpa(depth_m)
         return self._sender.pack(dialect.MAVLink_scaled_pressure2_message(board_ms, hpa, hpa - SURFACE_HPA, 2000))
 
@@ -276,7 +273,6 @@ class BoardLink:
         return self._sender.pack(dialect.MAVLink_battery_status_message(*whole, *measured, 0, charge))
 
     def parameter(self, name: str, value: float, count: int, index: int) -> bytes:
-        """The value of a parameter."""
         real = dialect.MAV_PARAM_TYPE_REAL32
         return self._sender.pack(dialect.MAVLink_param_value_message(name.encode("ascii"), value, real, count, index))
 

@@ -41,6 +41,7 @@ class Parameter:
 
 
 def _us(name: str, meaning: str, low: float = PULSE_RANGE_US[0], high: float = PULSE_RANGE_US[1]) -> Parameter:
+    """A whole number of microseconds, by default within the range of pulses."""
     return Parameter(name, low, high, True, meaning)
 
 

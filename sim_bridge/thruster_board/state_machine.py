@@ -31,15 +31,11 @@ class Charge(IntEnum):
 
 @dataclass(frozen=True)
 class StatusText:
-    """A change of state as text."""
-
     severity: int
     text: str
 
 
 class BoardStateMachine:
-    """The state of one board."""
-
     def __init__(self, parameters: Parameters, computer: Peer, key: Key | None = None, floor: int = 0) -> None:
         """Overrides count from `computer` only. With a `key`, frames must be signed, later than `floor`."""
         self.parameters = parameters

@@ -42,6 +42,7 @@ BROKEN = (
     "camera bubbles 10",
 )
 FAULTS = [part for i, what in enumerate(BROKEN) for part in ("--fault", f"t={0.3 + 0.2 * i:g} for=0.9 {what}")]
+FAULTS += ["--fault", "t=2.1 for=0.12 radio 2 dead"]  # longer, and the mission would be over
 
 CAMERA_FAULTS = ("--fault", "t=0.3 for=0.8 camera west slow 0.12", "--fault", "t=1.5 camera east gone")
 

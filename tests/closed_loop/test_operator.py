@@ -85,7 +85,7 @@ def lab(tmp_path: Path) -> Iterator[OperatorLab]:
 def test_a_mission_by_hand(lab: OperatorLab) -> None:
     lab.ready()
     refused, why = lab.order("mission", "resume")
-    assert (refused, "RESUME is not possible when WAITING" in why) == (1, True)
+    assert (refused, "resume is not possible when WAITING" in why) == (1, True)
     lab.set_off()  # each command returns when the robots have done it
     lab.told("agent", "INFO tracking")
     code, output = lab.order("mission", "hold")

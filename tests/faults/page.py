@@ -111,7 +111,7 @@ class RowOutcome:
 HEAD = """# Faults
 
 Written by `make faults`, which injects every fault below into real processes at random instants and measures what the thruster
-boards do. Each figure is the worst of N injections and its limit, from the fault on. A limit with a percentage holds for that
+boards do. Each figure is the worst of N injections / its limit, from the fault on. A limit with a percentage holds for that
 share of the injections. †: no robot had thrust again unasked. ‡: no robot left its path. faults.json has medians. One row
 again: `make faults ARGS="--row {example} --times 5"`.
 
@@ -126,11 +126,11 @@ def write_page(path: Path, rows: Sequence[FaultRow]) -> None:
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     outcomes = {key: RowOutcome.from_json(table) for key, table in kept.items()}
     lines = [HEAD.format(example=rows[0].key)]
-    lines += ["| Row | Fault | N | Worst of N |", "|---|---|---|---|"]
+    lines += ["| Row | How | N | Worst / limit |", "|---|---|---|---|"]
     for row in rows:
         outcome = outcomes.get(row.key)
         times = max((figure.times for figure in outcome.figures.values()), default=0) if outcome else 0
-        lines.append(f"| `{row.key}` | {row.fault}: {row.how} | {times} | {_measured(outcome)} |")
+        lines.append(f"| `{row.key}` | {row.how} | {times} | {_measured(outcome)} |")
     wrong, not_finite = (sum(getattr(r, name) for r in outcomes.values()) for name in ("wrong", "not_finite"))
     machines = sorted({result.machine for result in outcomes.values()})
     seeds = sorted({result.seed for result in outcomes.values()})
@@ -161,4 +161,4 @@ def _worst(name: str, figure: Figure) -> str:
     if not figure.times:
         return f"{name}: {NOT_MEASURED}"
     _, _, worst, limit = figure.shown
-    return f"{name} {worst} <= {limit}" if figure.kept else f"**{name} {worst}, not kept: {limit}**"
+    return f"{name} {worst}/{limit}" if figure.kept else f"**{name} {worst}, not kept: {limit}**"

@@ -44,7 +44,6 @@ class FaultRow:
     """One fault. `rig` names how the lab is set up; `inject` is one injection."""
 
     key: str
-    fault: str
     how: str
     measures: Mapping[str, Measure]
     inject: Callable[[Any, Random], Sample]

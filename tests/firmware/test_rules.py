@@ -162,6 +162,22 @@ def test_a_voltage_at_a_level_is_not_below_it(library: ctypes.CDLL) -> None:
         assert board.state()[1] == charge == machine.charge, voltage_v
 
 
+@pytest.mark.parametrize(("trim", "limits"), [(-20.0, ("THR_MIN_US", "ANK_MIN_US")), (20.0, ("THR_MAX_US", "ANK_MAX_US"))])
+def test_a_trim_takes_no_pin_beyond_its_limits(library: ctypes.CDLL, trim: float, limits: tuple[str, str]) -> None:
+    board, now_ns = FirmwareBoard(library), 10**9
+    for name in ("THR1_TRIM_US", "ANK1_TRIM_US"):
+        assert board.change(PARAMETERS.index[name], trim) == 0
+    board.override(COMPUTER, (1500,) * 8, now_ns)
+    board.step_rules(now_ns)
+    assert board.arm(True, now_ns) == 0
+    thruster_us, ankle_us = (round(PARAMETERS[name]) for name in limits)
+    board.override(COMPUTER, (thruster_us,) * 4 + (ankle_us,) * 4, now_ns)
+    for _ in range(40):
+        now_ns += 5_000_000
+        board.step_rules(now_ns)
+    assert board.armed and board.pulses == (thruster_us,) * 4 + (ankle_us,) * 4
+
+
 PUSHING = {  # changes that are taken, and the one after them that would have a disarmed board push
     "fewer thrusters than the vehicle's": [("THR_COUNT", 3.0)],
     "neutral ahead": [("THR_NEUTRAL_US", 1890.0)],

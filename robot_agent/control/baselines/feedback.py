@@ -26,8 +26,6 @@ ABSURD = 1e6  # m, rad: no reference; NaN is none either
 
 
 class FeedbackLaw(Protocol):
-    """One law with its memory."""
-
     def wrench(self, now: TrackingErrors) -> PerAxis:
         """Wrench by the law's equations, without limits. Does not change its memory."""
 

@@ -31,7 +31,6 @@ class HeadingRule(NamedTuple):
 
 
 def make_course() -> Course:
-    """Memory of a course."""
     return Course(np.zeros((NODES, 2)), np.zeros((NODES, 2)), np.zeros(NODES), np.zeros(NODES))
 
 

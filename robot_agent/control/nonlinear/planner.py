@@ -60,7 +60,6 @@ class Planner:
 
     @property
     def flight(self) -> PlannedFlight:
-        """The plan."""
         return self._plan.flight
 
     def step(self, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths, tolerance_m: float) -> Iteration:

@@ -1,7 +1,6 @@
 """The optimisation: the cost of a flight, its quadratic program, and one iteration of it. Pure.
 
-    J = integral |p - p_ref|^2 + a^2 w (yaw - yaw_ref)^2 + s^2 r^2 + sum rho_i (dF_i/dt)^2            m^2 s
-            + (OVERSPEED_S (speed through the water - fastest))^2 where it is faster dt
+    J = integral |p - p_ref|^2 + a^2 w (yaw - yaw_ref)^2 + s^2 r^2 + sum rho_i (dF_i/dt)^2 dt          m^2 s
         + T |p - p_ref + t (p' - p_ref')|^2 + a^2 w b (yaw - yaw_ref)^2 at the end, + sigma (deepest entry into a half-space)^2
 
 While a person steers, |e|^2 is the square of the part along yaw_ref alone: nobody asks for a line.
@@ -40,7 +39,6 @@ from shoal.kernels.types import Cube, Floats, Ints, Table
 SHORTER = 0.4  # factor of a step that made the flight worse
 LEAST_STEP = 0.1  # below, the flight stays as it is: at most four are tried
 LEVEL = 1e-9  # of the cost: at its minimum, rounding makes a step look worse
-OVERSPEED_S = 10.0  # 0.1 m/s too fast costs as much as an error of 1 m
 DAMPING = 1e-9  # of the Hessian's diagonal: directions that cost nothing stay defined
 
 
@@ -63,12 +61,9 @@ class Weights(NamedTuple):
     facing_s: float  # b
     entry: float  # sigma, s
     is_steered: bool  # errors of the place count along the heading alone
-    fastest_mps: float  # through the water
 
 
 class InputLimits(NamedTuple):
-    """Limits of the commands."""
-
     size: Floats  # (axes,) N or N m
     rate: Floats  # (axes,) per second
 
@@ -84,8 +79,6 @@ class PlanProblem(NamedTuple):
 
 
 class QuadraticProgram(NamedTuple):
-    """Memory of a quadratic program."""
-
     hessian: Table
     gradient: Floats
     matrix: Table  # rows: sizes of commands, their changes, half-spaces
@@ -109,8 +102,6 @@ class Memory(NamedTuple):
 
 
 class Iteration(NamedTuple):
-    """Result of one iteration."""
-
     before: float  # cost, m^2 s
     after: float
     share: float  # of the program's step
@@ -177,8 +168,6 @@ def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
         total += grid.share_s[k] * (
             ex * ex + ey * ey + course.yaw_weight[k] * turned * turned + weights.turning_m2 * s[R] * s[R]
         )
-        beyond_m = OVERSPEED_S * max(math.hypot(s[U], s[V]) - weights.fastest_mps, 0.0)
-        total += grid.share_s[k] * beyond_m * beyond_m
         span_s = grid.time_s[k + 1] - grid.time_s[k]
         for i in range(len(grid.axes)):
             before = problem.start.command[i] if k == 0 else flight.command[k - 1, i]
@@ -252,11 +241,6 @@ def condense(dynamics: Dynamics, grid: Grid, problem: PlanProblem, flight: Plann
             add_square(share_s * course.yaw_weight[k], s[YAW] - course.yaw[k], slope[YAW], reached, program)
         if weights.turning_m2 > 0.0:
             add_square(share_s * weights.turning_m2, s[R], slope[R], reached, program)
-        speed = math.hypot(s[U], s[V])
-        if speed > weights.fastest_mps:
-            for j in range(reached):
-                program.row[j] = (s[U] * slope[U, j] + s[V] * slope[V, j]) / speed
-            add_square(share_s * OVERSPEED_S**2, speed - weights.fastest_mps, program.row, reached, program)
         span_s = grid.time_s[k + 1] - grid.time_s[k]
         for i in range(axes):
             weight, j = weights.rate[i] / span_s, axes * k + i

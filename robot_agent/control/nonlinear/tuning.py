@@ -145,18 +145,21 @@ def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, manner: M
     }
     rate = np.array([of[axis] for axis in planar_axes(vehicle)])
     end_s, lead_s = END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness
-    return Weights(rate, manner.turning_m**2, end_s, lead_s, manner.facing_s, entry, manner.is_steered, fastest_mps(vehicle))
+    return Weights(rate, manner.turning_m**2, end_s, lead_s, manner.facing_s, entry, manner.is_steered)
 
 
 def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
-    """Weights of heave."""
     rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
-    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 0.0, 1.0, False, math.inf)
+    end_s, lead_s = END_SHARE / tuning.depth, 1.0 / tuning.depth
+    return Weights(
+        rate, turning_m2=0.0, end_s=end_s, lead_s=lead_s, facing_s=0.0, entry=1.0, is_steered=False
+    )  # fmt: skip
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:
     """Limits of surge, sway and yaw. A force that would tilt the hull by more than TILT_RAD is not asked for, nor within less
-    than half a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
+    than half a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why. Nor is more
+    asked for than steady flight takes at the greatest speed that the hull stands, if that is less than the file's."""
     axes = planar_axes(vehicle)
     size = np.array([vehicle.limits.wrench[WRENCH_AXIS[axis]] for axis in axes])
     rate = np.array([vehicle.limits.wrench_rate_per_s[WRENCH_AXIS[axis]] for axis in axes])
@@ -166,11 +169,13 @@ def planar_limits(vehicle: Vehicle) -> InputLimits:
             lever_m = below_m + moment_nm / (GRAVITY_MPS2 * float(vehicle.inertia[axis]))
             level_n = moment_nm * math.sin(TILT_RAD) / lever_m
             size[i], rate[i] = min(size[i], level_n), min(rate[i], 2.0 * level_n / swing_s)
+        fast_mps = fastest_mps(vehicle)
+        if fast_mps < vehicle.limits.speed_mps:
+            size[0] = min(size[0], (vehicle.drag.linear[0] + vehicle.drag.quadratic[0] * fast_mps) * fast_mps)
     return InputLimits(size, rate)
 
 
 def depth_limits(vehicle: Vehicle) -> InputLimits:
-    """Limits of heave."""
     return InputLimits(np.array([vehicle.limits.wrench[1]]), np.array([vehicle.limits.wrench_rate_per_s[1]]))
 
 

@@ -9,7 +9,7 @@ from groundstation.analysis.results import Result
 from groundstation.report import terminal
 from groundstation.report.report import write_report
 from groundstation.station.process import INTERRUPTED
-from groundstation.web.run_end import run_end
+from groundstation.web.run_desk import run_end
 from shoal.messages.messages import Mode
 from tests.groundstation.synthetic import Script, write_run
 

@@ -83,14 +83,14 @@ def _filmed(tmp_path: Path, pictures: Sequence[tuple[int, int, bytes | None]]) -
             pack = packer(experiment.recording, experiment.camera.size_px)
         data = pack(np.full(experiment.camera.size_px[::-1], 40 + 6 * k, dtype=np.uint8), stamp_ns)
         now_ns = 10**11 + k * EVERY_NS
-        received_ns = now_ns + 30_000_000
+        heard_ns = now_ns + 30_000_000
         for topic, key, sender, message in (
             (topics.HEARTBEAT, "station/heartbeat", (7, now_ns), StationHeartbeat(mission="RUNNING", began_ns=10**11)),
             (topics.LOCALIZER, "localizer/status", (session, stamp_ns), LocalizerStatus(frame_age_ms=30.0)),
             (topics.VIDEO, "camera/video", (session, stamp_ns), Video(data if other is None else other)),
         ):
             if other != b"" or topic is not topics.VIDEO:
-                arrival_ns = now_ns + 1 if topic is topics.HEARTBEAT else received_ns
+                arrival_ns = now_ns + 1 if topic is topics.HEARTBEAT else heard_ns
                 recorder.put(
                     topic, f"shoal/{key}", Header(sender[0], 2 * k + 1, sender[1]), encode(message, sender[1]), arrival_ns
                 )

@@ -24,6 +24,7 @@ from shoal.errors import ConfigError
 from shoal.messages import messages as m
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
+from shoal.messages.labels import CHANNELS
 from shoal.messages.topics import Topic
 
 SECOND = 1_000_000_000
@@ -64,6 +65,11 @@ SAID: list[tuple[Topic, int, Any]] = [
     ),
     (topics.EVENT, 0, m.Event(3, "agent-1", 'says "so",\nand more')),
 ]
+
+
+def test_the_boards_eight_outputs_have_a_column_each() -> None:
+    outputs = [*(f"thruster_{k}_us" for k in (1, 2, 3, 4)), *(f"ankle_{k}_us" for k in (1, 2, 3, 4))]
+    assert [part.column for part in CHANNELS] == outputs
 
 
 @pytest.fixture(scope="module")

@@ -402,6 +402,15 @@ def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None
         assert server.recv(1) == b""
 
 
+def test_a_link_without_a_proof_is_ended_though_the_router_goes_on_waiting(
+    passage: Passage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(admission, "PROOF_S", 0.3)
+    client, server = passage.pair(HELLO)
+    with client, server:
+        assert ended(client) and ended(server)
+
+
 def test_a_hello_in_too_many_pieces_is_no_hello(passage: Passage) -> None:
     """Each piece costs the guard a look at all that has come."""
     with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:

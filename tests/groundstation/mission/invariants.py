@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.mission.gain_update import GainStage
+from groundstation.mission.mission import JOIN_WITHIN_S
 from groundstation.mission.objections import MOVING
 from groundstation.mission.request_progress import KEPT
 from groundstation.mission.single_robot import CONFIRMS, DISARMING
@@ -87,6 +88,7 @@ class Invariants:
     followed: dict[int, _Followed] = field(default_factory=dict)
     over: dict[int, Progress] = field(default_factory=dict)
     progress_s: float = 0.0
+    joined: bool = False  # robots began to fly, and progress has not moved since
     apart_s: float = 0.0
     flown_s: float = 0.0  # the farthest that any robot has truly come along the roster's trajectory
     lap_s: float = 0.0
@@ -264,10 +266,13 @@ class Invariants:
             self.progress_s = self.flown_s = 0.0
         if mission.state in IN_FLIGHT | {MissionState.PAUSED}:
             leap_s = plans.progress_s - self.progress_s
-            assert abs(leap_s) <= JUMP_S, f"PROGRESS: leaps by {leap_s:.2f} s in {mission.state.name}"
+            most_s = max(JUMP_S, JOIN_WITHIN_S) if self.joined else JUMP_S  # a late one begins where the others are
+            assert abs(leap_s) <= most_s, f"PROGRESS: leaps by {leap_s:.2f} s in {mission.state.name}"
             assert plans.progress_s <= self.flown_s + 0.1, (
                 f"PROGRESS: {plans.progress_s:.2f} s, and no robot has come farther than {self.flown_s:.2f} s"
             )
+            self.joined = self.joined and leap_s == 0.0
+        self.joined = self.joined or mission.state in JOINING
         self.progress_s = plans.progress_s
         active = [self.pool.robots[r] for r in mission.roster.active]
         whole = all(r.mode is Mode.TRACKING and self.flies(r, mission.segment) and self.in_reach_s(r.id) > 1.0 for r in active)

@@ -13,19 +13,16 @@ from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.messages.messages import (
-    BoardReading,
     Command,
     CommandKind,
     Control,
-    Estimate,
     Mode,
     Pose,
     Reply,
-    RobotState,
-    StepTiming,
     Track,
     Trajectory,
 )
+from tests.groundstation.mission.reported_state import reported_state
 
 STEP_NS = 50_000_000
 
@@ -90,18 +87,18 @@ class ObedientRobot:
 
     def view(self) -> RobotView:
         pose = Pose(0, 0, 0, np.eye(3), Track.MARKER, self.verified)
-        state = RobotState(
-            mode=self.mode,
+        state = reported_state(
+            self.experiment,
+            self.mode,
+            self.eta,
+            self.surge_mps,
+            self.battery_v,
             fault=self.fault,
-            experiment_hash=self.experiment.hash,
             trajectory_id=self.loaded,
             trajectory_s=self.trajectory_s,
             thruster_test=self.test,
             tuning_id=self.tuning_id,
             blind=self.blind,
-            board=BoardReading(battery_v=self.battery_v),
-            timing=StepTiming(board_age_ms=20.0),
-            estimate=Estimate(eta=np.array(self.eta), nu=np.array([self.surge_mps, 0.0, 0.0, 0.0])),
             control=Control() if self.mode in LIVE else None,
         )
         if self.unknown:

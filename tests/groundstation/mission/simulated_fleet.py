@@ -32,20 +32,18 @@ from shoal.frames import Array
 from shoal.messages.codec import Header
 from shoal.messages.live_gains import tuning
 from shoal.messages.messages import (
-    BoardReading,
     Command,
     CommandKind,
     Control,
     DriveVelocity,
-    Estimate,
     Mode,
     Pose,
     Reply,
     RobotState,
     StationHeartbeat,
-    StepTiming,
     Track,
 )
+from tests.groundstation.mission.reported_state import reported_state
 
 STEP_S = 0.05
 STEP_NS = 50_000_000
@@ -217,18 +215,18 @@ class SimulatedRobot:
         self._speed_mps = share * far_m / STEP_S
 
     def _state(self) -> RobotState:
-        return RobotState(
-            mode=self.mode,
+        return reported_state(
+            self._experiment,
+            self.mode,
+            self.eta,
+            self._speed_mps,
+            board_age_ms=20.0 if self.board_works else 5000.0,
             fault=self.fault,
-            experiment_hash=self._experiment.hash,
             tuning_id=self.tuning_id,
             trajectory_s=self.clock.reached_s,
             trajectory_id=self.clock.id,
             thruster_test=self.test,
-            estimate=Estimate(eta=self.eta, nu=np.array([self._speed_mps, 0.0, 0.0, 0.0])),
             control=Control(eta_reference=self._reference),
-            board=BoardReading(battery_v=12.0, depth_m=float(self.eta[2])),
-            timing=StepTiming(board_age_ms=20.0 if self.board_works else 5000.0),
         )
 
 

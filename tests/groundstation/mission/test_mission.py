@@ -140,6 +140,23 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     assert run.at(MissionState.DONE)
 
 
+def test_time_zero_of_a_flight_stays_when_it_is_held_and_resumed_and_is_new_with_a_new_start() -> None:
+    run = MissionRun(automatic=False, settings=["duration_s=60"])
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    began_ns = run.mission.began_ns
+    assert run.at(MissionState.RUNNING) and 0 < began_ns <= run.now_ns
+    for order in (CommandKind.HOLD, CommandKind.RESUME):
+        assert run.mission.request(order, run.fleet(), run.now_ns) == ""
+        run.step(1.0)
+        assert run.mission.began_ns == began_ns, order
+    assert run.at(MissionState.RUNNING)
+    for order in (CommandKind.DISARM, CommandKind.START):
+        assert run.mission.request(order, run.fleet(), run.now_ns) == ""
+        run.step(1.0)
+    assert run.mission.began_ns > began_ns + 2 * 10**9
+
+
 def test_a_start_that_is_held_begins_at_the_beginning_after_an_earlier_flight_of_the_same_path() -> None:
     """Robots still have the trajectory, and their clocks stand where the earlier flight ended."""
     run = running(automatic=False)

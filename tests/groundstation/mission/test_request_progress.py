@@ -220,7 +220,7 @@ def test_another_request_takes_the_place_of_one_under_way_and_the_same_is_one() 
     first = lab.ask(CommandKind.START)
     lab.step(0.1)
     stop = lab.ask(CommandKind.STOP)
-    assert lab.outcome(first).reason == "STOP was asked for instead"
+    assert lab.outcome(first).reason == "stop was asked for instead"
     assert lab.progress(first) is Progress.FAILED
     assert lab.ask(CommandKind.STOP) == stop
 
@@ -299,6 +299,20 @@ def test_a_run_that_another_request_goes_on_with_was_not_ended() -> None:
     fleet.run(0.5)
     outcome = fleet.core.requests.outcome(end)
     assert outcome is not None and outcome.progress is Progress.FAILED and not fleet.core.ended
+
+
+def test_requests_are_done_when_a_robot_confirms_them_over_a_slow_radio() -> None:
+    """Each of its states is older when it comes than those of a robot that is heard."""
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, CIRCLE))
+    fleet.run(1.0)
+    fleet.robots[2].radio.delay_ns = 400_000_000
+    fleet.run(1.0)
+    assert not fleet.fleet[2].heard
+    for order in (CommandKind.STOP, CommandKind.CLEAR_STOP, CommandKind.DISARM):
+        number = ask_fleet(fleet, order, 0)
+        fleet.run(4.0)
+        outcome = fleet.core.requests.outcome(number)
+        assert outcome is not None and (outcome.progress, outcome.confirmed) == (Progress.DONE, (1, 2)), outcome
 
 
 def test_a_silent_robot_does_not_confirm_disarm() -> None:

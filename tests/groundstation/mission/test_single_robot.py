@@ -263,7 +263,7 @@ def test_requests_that_cannot_be_are_refused_with_the_reason() -> None:
     run = LedRun()
     assert "robot 2 is DISARMED: arm it first" in run.drive()
     assert "no robot 7" in run.ask(CommandKind.ARM, robot=7)
-    assert "START is not for one robot (allowed: ARM, HOLD, DISARM, GO, OUT, BACK_IN)" in run.ask(CommandKind.START)
+    assert "start is not for one robot (allowed: arm, hold, disarm, go, out, back-in)" in run.ask(CommandKind.START)
     run.robots[2].battery_v = 10.0
     assert "battery 10.0 V" in run.ask(CommandKind.ARM)
     run.robots[2].battery_v = 12.0
@@ -328,7 +328,7 @@ def test_another_request_ends_a_task_and_tells_it_so() -> None:
     run.step(2.0)
     assert run.drive() == ""
     run.step(2.0)
-    assert (sent.progress, sent.reason) == (Progress.FAILED, "DRIVE was asked for instead")
+    assert (sent.progress, sent.reason) == (Progress.FAILED, "drive was asked for instead")
     driven = run.single.tasks[2]
     assert (driven.order, driven.progress) == (CommandKind.DRIVE, Progress.DONE)
     assert run.in_mode(2, Mode.HOLDING)
@@ -342,7 +342,7 @@ def test_a_drive_that_was_ended_by_a_hold_goes_on_only_after_letting_go() -> Non
     run.step(0.1)
     assert run.ask(CommandKind.HOLD) == ""
     for _ in range(10):  # the key is still held down
-        assert run.drive() == "HOLD was asked for instead: let go first"
+        assert run.drive() == "hold was asked for instead: let go first"
         run.step(0.1)
     assert run.in_mode(2, Mode.HOLDING)
     assert run.single.tasks[2].progress is Progress.DONE

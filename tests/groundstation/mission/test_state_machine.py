@@ -130,9 +130,9 @@ def test_every_state_is_driven() -> None:
 def test_a_refusal_names_the_states_that_would_do() -> None:
     assert rejection_reason(CommandKind.HOLD, MissionState.RUNNING) == ""
     assert (
-        rejection_reason(CommandKind.RESUME, MissionState.RUNNING) == "RESUME is not possible when RUNNING (only when PAUSED)"
+        rejection_reason(CommandKind.RESUME, MissionState.RUNNING) == "resume is not possible when RUNNING (only when PAUSED)"
     )
-    assert "allowed: LOAD" in rejection_reason(CommandKind.SWITCH, MissionState.RUNNING)
+    assert "allowed: load" in rejection_reason(CommandKind.SWITCH, MissionState.RUNNING)
 
 
 @pytest.mark.parametrize("state", [state for state in MissionState if state in IN_FLIGHT])

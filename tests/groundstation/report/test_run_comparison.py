@@ -87,7 +87,7 @@ def test_the_command_prints_a_table_and_writes_a_page(runs: list[Path], tmp_path
     alone = station("log", "compare", str(runs[0]))
     assert alone.returncode == 2 and "two runs or more" in alone.stderr
     gone = station("log", "compare", str(runs[0]), str(tmp_path))
-    assert gone.returncode == 2 and "no run.mcap there" in gone.stderr
+    assert gone.returncode == 2 and "run.mcap and experiment.toml are missing there" in gone.stderr
 
 
 def test_figures_for_a_paper(runs: list[Path], tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from groundstation.station import process
 from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station, workers
 from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
+from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus, Inbox
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
@@ -401,7 +402,7 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
         fleet.until(station, lambda: outcome(station, number).progress is Progress.DONE)
         assert (outcome(station, number).confirmed, fleet.modes) == ((2,), {1: Mode.HOLDING, 2: Mode.DISARMED})
         refused = operator.command(Command(CommandKind.START, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
-        assert refused.reason == "START is not for one robot (allowed: ARM, HOLD, DISARM, GO, OUT, BACK_IN)"
+        assert refused.reason == "start is not for one robot (allowed: arm, hold, disarm, go, out, back-in)"
         stop = operator.command(Command(CommandKind.STOP, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
         assert stop.outcome is not None
         fleet.until(station, lambda: set(fleet.modes.values()) == {Mode.STOPPED})
@@ -639,6 +640,15 @@ def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path)
         views = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().views.items()}
         own = {robot: [f for f in findings(station.experiment, robot, views[robot]) if f.key == "poses"] for robot in (1, 2)}
         assert [f.blocks_arming for f in own[1]] == [True] and own[2] == []
+
+
+@pytest.mark.parametrize("insecure", [True, False])
+def test_an_open_network_is_named_on_the_page_for_as_long_as_the_run_lasts(tmp_path: Path, insecure: bool) -> None:
+    with a_station(tmp_path) as station:
+        station.insecure = insecure
+        for _ in range(2):
+            station.cycle(station.clock.now_ns())
+            assert (INSECURE in station.status().lasting.values()) is insecure
 
 
 def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_the_log(

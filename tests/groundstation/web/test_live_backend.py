@@ -38,6 +38,16 @@ def test_the_age_of_a_robots_state_is_simulated_until_simulated_time_stands() ->
     assert "simulated time stands since 60 s: the machine is busy" in [a["text"] for a in backend.snapshot()["alarms"]]
 
 
+def test_the_page_counts_from_when_the_flight_began_and_from_nothing_before_that() -> None:
+    hub, experiment, clock = MemoryHub(), load_experiment("pool"), WallClock()
+    bus = Bus(MemoryTransport(hub))
+    station = FakeStation(experiment, bus, clock=clock)
+    backend = LiveBackend(experiment, {}, bus, station.inboxes, clock, station, "real-time")
+    assert backend.snapshot()["began_s"] is None
+    station.own_status = replace(station.own_status, began_ns=5 * S)
+    assert backend.snapshot()["began_s"] == 5.0
+
+
 def test_a_line_of_an_earlier_run_is_shown_at_its_own_time() -> None:
     """A robot's program outlives a station: the next one gets its lines of an hour ago, by a clock that is 20 s off."""
     hub, experiment, clock = MemoryHub(), load_experiment("pool"), WallClock()

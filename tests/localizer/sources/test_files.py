@@ -367,7 +367,7 @@ def test_a_grey_image_is_taken_as_raw(tmp_path: Path, clock: HandClock) -> None:
 )
 def test_a_source_that_cannot_be_is_explained(name: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
-        open_own(name, CAMERA, WallClock())
+        open_own(name, CAMERA, WallClock(), "--camera")
 
 
 def test_a_file_that_is_no_video_is_explained(tmp_path: Path) -> None:

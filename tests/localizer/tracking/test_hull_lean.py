@@ -8,8 +8,7 @@ from localizer.camera_model import RefractiveCamera
 from localizer.detection.hull_outline import fit_circle, outline_edges, strongest_circle
 from localizer.detection.image_regions import Pixels
 from localizer.tracking.fleet_localizer import FleetLocalizer
-from localizer.tracking.hull_lean import LeanReader
-from localizer.tracking.tilt import Attitude
+from localizer.tracking.tilt import Attitude, LeanReader
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array, body_to_pool, pool_to_body, wrap
 from sim_bridge.camera.renderer import Renderer

@@ -150,6 +150,21 @@ def test_robot_comes_back_to_its_path_without_overshoot() -> None:
     assert np.all(np.diff(aside[gone:]) < 1e-3)
 
 
+def test_robot_whose_path_is_over_does_not_creep_around_one_that_rests() -> None:
+    """Something is ahead of it until its path is over. Then a robot rests halfway between it and its end."""
+    point, time_s, rests = Point(-1.6, 0.0, 0.1), 0.0, 0j
+    while time_s < 20.0 or abs(point.place - point.end) > 0.05:
+        if time_s < 20.0:
+            ahead = (point.end - point.place) / abs(point.end - point.place)
+            point.step(time_s, one(point.place + ahead, 0j, 1.5, False))
+            rests = 0.5 * point.place + 0.02j
+        else:
+            point.step(time_s, one(rests, 0j, KEEP_M, False))
+        point.move()
+        time_s += PERIOD_S
+        assert time_s < 20.0 + 4.0 * abs(rests) / (0.5 * AGILITY.fastest_mps)
+
+
 @pytest.mark.parametrize(("robot", "other", "by_its_path"), [(0.0j, 0.1j, True), (0.5j, 0.1j, True), (0.5j, 1.0j, False)])
 def test_path_that_leads_into_others_is_told_from_a_robot_that_is_off_it(
     robot: complex, other: complex, by_its_path: bool

@@ -138,6 +138,10 @@ def test_options_go_before_the_file_and_the_file_before_defaults(tmp_path: Path)
     )
     with pytest.raises(ConfigError, match="which robot"):
         merge_config({"experiment": "pool"}, None)
+    with pytest.raises(ConfigError, match=f"command line and {file}"):
+        merge_config({"robot": 0}, file)
+    with pytest.raises(ConfigError, match=r"command line(?! and)"):
+        merge_config({"experiment": "pool", "robot": 0}, None)
 
 
 # --- judgement

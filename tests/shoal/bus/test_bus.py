@@ -49,6 +49,31 @@ def make_bus(request: pytest.FixtureRequest) -> Iterator[MakeBus]:
         bus.close()
 
 
+def test_a_muted_bus_sends_only_afterwards_what_counts_and_reads_what_it_had(make_bus: MakeBus) -> None:
+    robot, station = make_bus(), make_bus()
+    beats, events = robot.inbox(topics.HEARTBEAT, messages.StationHeartbeat), station.inbox(topics.EVENT, messages.Event)
+    before = messages.StationHeartbeat("a")
+    assert eventually(lambda: bool(station.publish(topics.HEARTBEAT, before, 1)) and beats.newest() is not None)
+    robot.mute(True)
+    station.publish(topics.HEARTBEAT, before, 2)
+    robot.publish(topics.EVENT, messages.Event(2, "agent-1", "said without a radio"), 3)
+    assert eventually(lambda: (header := beats.newest_header()) is not None and header.stamp_ns == 2)
+    received = beats.newest()
+    assert received is not None and received.header.stamp_ns == 1 and events.newest() is None
+    robot.mute(False)
+    assert eventually(lambda: events.newest() is not None and beats.newest() is not received)
+
+
+def test_no_command_reaches_a_robot_without_a_radio(make_bus: MakeBus) -> None:
+    robot, station = make_bus(), make_bus()
+    robot.serve(1, lambda header, command: messages.Reply(1, True))
+    hold = messages.Command(messages.CommandKind.HOLD, 1)
+    assert eventually(lambda: station.command(hold, 0, 1.0).accepted)
+    station.unreachable = frozenset({1})
+    reply = station.command(hold, 0, 1.0)
+    assert reply.silent and not reply.accepted
+
+
 def test_a_message_arrives_with_its_header(make_bus: MakeBus) -> None:
     sender, receiver = make_bus(), make_bus()
     inbox = receiver.inbox(topics.POSE, messages.Pose, robot=3)

@@ -386,7 +386,7 @@ def test_a_camera_file_that_cannot_be_used_is_named(tmp_path: Path, content: str
 
 
 def test_a_camera_has_no_shipped_names() -> None:
-    with pytest.raises(ConfigError, match=r"pool\.toml: camera = 'lab': must be a table, or a path ending in \.toml"):
+    with pytest.raises(ConfigError, match=r"--set camera=lab: camera = 'lab': must be a table, or a path ending in \.toml"):
         load_experiment("pool", ["camera=lab"])
 
 

@@ -226,7 +226,7 @@ def test_a_setting_that_leads_nowhere(setting: str, complaint: str) -> None:
     table: dict[str, Any] = {"robots": [{"id": 1}, {"id": 2}], "empty": []}
     with pytest.raises(ConfigError, match=complaint) as caught:
         apply_setting(table, setting)
-    assert f"--set {setting}" in str(caught.value) or f"--set {setting!r}" in str(caught.value)
+    assert str(caught.value).startswith((setting, repr(setting)))
 
 
 def test_a_table_nested_too_deep_is_refused_with_a_message() -> None:

@@ -100,7 +100,7 @@ export interface Field {
   unit: string;
 }
 
-/** What became of a run, as people read it (groundstation/web/run_end.py). */
+/** What became of a run, as people read it (groundstation/web/run_desk.py). */
 export interface RunEnd {
   verdict: "passed" | "failed" | "not judged";
   cause: string; // empty if it passed

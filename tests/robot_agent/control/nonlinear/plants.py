@@ -28,7 +28,6 @@ def problem_of(
     speed_mps: float = 0.1,
     aside_m: float = 0.3,
     is_steered: bool = False,
-    fastest_mps: float = math.inf,
 ) -> PlanProblem:
     """A straight course, beside and ahead of the robot's place; a robot that cannot leave its line stays on it."""
     axes, nodes = grid.axes, len(grid.share_s)
@@ -38,5 +37,5 @@ def problem_of(
     heading = np.linspace(0.2, 0.6, nodes) if is_steered else np.zeros(nodes)
     course = Course(place, velocity, heading, np.full(nodes, 1e-4))
     rate = np.array([1e-4, 1e-4, 6e-4])
-    weights = Weights(rate[axes], 1e-4, 1.0, 0.5, 3.0, 1e4, is_steered, fastest_mps)
+    weights = Weights(rate[axes], 1e-4, 1.0, 0.5, 3.0, 1e4, is_steered)
     return PlanProblem(start, course, weights, InputLimits(LIMIT[axes], RATE[axes]), surrounds)

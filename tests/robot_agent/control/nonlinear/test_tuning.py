@@ -103,5 +103,7 @@ def test_a_hull_at_its_greatest_speed_is_pitched_no_farther_than_by_thrust_alone
         return thrust_n * fast.sim.plant.tilt.legs_below_m - water_nm
 
     greatest_mps = fastest_mps(vehicle)
+    thrust_n = (vehicle.drag.linear[0] + vehicle.drag.quadratic[0] * greatest_mps) * greatest_mps
+    assert planar_limits(vehicle).size[0] == pytest.approx(thrust_n) and thrust_n < vehicle.limits.wrench[0]
     assert moment_nm(0.9 * greatest_mps) < 0.0 < moment_nm(1.05 * greatest_mps)
     assert fastest_mps(SPHERICAL) == SPHERICAL.limits.speed_mps

@@ -21,6 +21,7 @@ const FAULTS: Fault[] = [
   { text: "Weaken thruster", title: "it gives half of its thrust", words: (robot) => `thruster ${robot}/${thruster.value} weak 0.5`, ofRobot: true },
   { text: "Hide marker", title: "the plate is gone from its back", words: (robot) => `marker ${robot} lost`, ofRobot: true },
   { text: "Cut board link", title: "nothing passes between its computer and its thruster board", words: (robot) => `link ${robot} cut`, ofRobot: true },
+  { text: "Kill radio", title: "nothing passes between its computer and the fleet: no pose, no plan, no request", words: (robot) => `radio ${robot} dead`, ofRobot: true },
   { text: "Sag battery", title: "it loses 1.5 V", words: (robot) => `battery ${robot} sag`, ofRobot: true },
   { text: "Freeze camera", title: "the same picture again and again", words: () => "camera frozen", ofRobot: false },
   { text: "Gust", title: "the water moves along x at 0.05 m/s", words: () => "water gust 0.05", ofRobot: false },
