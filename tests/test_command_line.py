@@ -76,14 +76,24 @@ def commands_of(page: Path) -> list[list[str]]:
     return [words for words in lines_of_words if words and words[0] in PROGRAMS and "..." not in words]
 
 
+def recorded_run(folder: Path) -> Path:
+    """A folder with the files by which a run is known, without anything in them."""
+    folder.mkdir()
+    for name in ("run.mcap", "experiment.toml"):
+        (folder / name).touch()
+    return folder
+
+
 BY_HAND = ("certificates", "deploy", "hardware", "hil", "missions", "runs")  # pages whose commands no other test runs
 
 
 @pytest.mark.parametrize(
     "words", [words for page in BY_HAND for words in commands_of(ROOT / "docs" / f"{page}.md")], ids=" ".join
 )
-def test_commands_of_the_page_parse(words: list[str]) -> None:
+def test_commands_of_the_page_parse(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command and option exists, and takes such a value. What they do is tested where they are."""
+    recorded_run(tmp_path / "RUN")
+    monkeypatch.chdir(tmp_path)
     program, *arguments = words
     node: Any = typer.main.get_command(importlib.import_module(f"{PROGRAMS[program]}.__main__").cli)
     while hasattr(node, "commands"):
@@ -399,7 +409,7 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
     [
         ("groundstation", ["--help"], ""),
         ("groundstation", ["mission", "start", "--station", "nowhere"], "not a place where a station can be"),
-        ("groundstation", ["log", "report", "runs"], "pip install 'shoal[station]'"),
+        ("groundstation", ["log", "report", "RUN"], "pip install 'shoal[station]'"),
         (
             "localizer",
             ["run", "pool"],
@@ -408,11 +418,15 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
         ("sim-bridge", ["pool", "pool"], "pip install 'shoal[all]'"),
     ],
 )
-def test_a_role_that_is_not_installed_says_what_installs_it(program: str, arguments: list[str], says: str) -> None:
+def test_a_role_that_is_not_installed_says_what_installs_it(
+    program: str, arguments: list[str], says: str, tmp_path: Path
+) -> None:
     """The base installation, as on a robot's board: all four commands are there."""
     lacking = ("cv2", "mcap", "mcap_protobuf", "starlette", "uvicorn", "websockets", "matplotlib", "msgspec", "pyarrow", "av")
     script = f"import sys; sys.modules.update(dict.fromkeys({lacking})); from {PROGRAMS[program]}.__main__ import app; app()"
-    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
+    recorded_run(tmp_path / "RUN")
+    command = [sys.executable, "-c", script, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert (done.returncode, "Traceback" in done.stderr) == (2 if says else 0, False)
     assert says in done.stderr
 

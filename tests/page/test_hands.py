@@ -15,6 +15,7 @@ from shoal.messages import topics
 from shoal.messages.messages import CommandKind, Mode, RobotState
 from tests.page.elements import button, tile
 from tests.page.lone_station import LoneStation, lone_station
+from tests.waiting import eventually
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
@@ -50,12 +51,11 @@ def test_a_robot_is_let_go_when_another_is_chosen_under_the_pointer(desk: LoneSt
     drive(desk, 1)
     button(page, "Drive ahead").hover()
     page.mouse.down()
-    page.wait_for_timeout(300)
-    assert desk.drives[-1][1].surge_mps > 0.0
+    assert eventually(lambda: bool(desk.drives and desk.drives[-1][1].surge_mps > 0.0))
     page.keyboard.press("2")
-    page.wait_for_timeout(100)
+    assert eventually(lambda: desk.drives[-1][1].surge_mps == 0.0)
     page.mouse.up()
-    assert (desk.drives[-1][0], desk.drives[-1][1].surge_mps) == (1, 0.0)
+    assert desk.drives[-1][0] == 1
     count = len(desk.drives)
     page.keyboard.down("w")  # robot 2 is shown, and nobody drives it
     page.wait_for_timeout(400)
