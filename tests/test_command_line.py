@@ -76,12 +76,10 @@ def commands_of(page: Path) -> list[list[str]]:
     return [words for words in lines_of_words if words and words[0] in PROGRAMS and "..." not in words]
 
 
-def recorded_run(folder: Path) -> Path:
-    """A folder with the files by which a run is known, without anything in them."""
+def make_run(folder: Path) -> None:
+    """Make a folder that counts as a run's, with an empty log."""
     folder.mkdir()
-    for name in ("run.mcap", "experiment.toml"):
-        (folder / name).touch()
-    return folder
+    (folder / "run.mcap").touch()
 
 
 BY_HAND = ("certificates", "deploy", "hardware", "hil", "missions", "runs")  # pages whose commands no other test runs
@@ -92,7 +90,7 @@ BY_HAND = ("certificates", "deploy", "hardware", "hil", "missions", "runs")  # p
 )
 def test_commands_of_the_page_parse(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command and option exists, and takes such a value. What they do is tested where they are."""
-    recorded_run(tmp_path / "RUN")
+    make_run(tmp_path / "RUN")
     monkeypatch.chdir(tmp_path)
     program, *arguments = words
     node: Any = typer.main.get_command(importlib.import_module(f"{PROGRAMS[program]}.__main__").cli)
@@ -424,7 +422,7 @@ def test_a_role_that_is_not_installed_says_what_installs_it(
     """The base installation, as on a robot's board: all four commands are there."""
     lacking = ("cv2", "mcap", "mcap_protobuf", "starlette", "uvicorn", "websockets", "matplotlib", "msgspec", "pyarrow", "av")
     script = f"import sys; sys.modules.update(dict.fromkeys({lacking})); from {PROGRAMS[program]}.__main__ import app; app()"
-    recorded_run(tmp_path / "RUN")
+    make_run(tmp_path / "RUN")
     command = [sys.executable, "-c", script, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert (done.returncode, "Traceback" in done.stderr) == (2 if says else 0, False)

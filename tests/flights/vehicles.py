@@ -95,26 +95,21 @@ def fastest_mps(vehicle: Vehicle, drag_error: float) -> float:
 
 @dataclass(frozen=True)
 class FileVehicle:
-    """A vehicle with a file of its own, and what the simulator has to know besides: weight, and how it swings."""
+    """A vehicle with a file of its own, and what the simulator has to know besides: weight, and the drag of a swing."""
 
     name: str
     buoyancy_n: float
-    swing_inertia_kg_m2: float  # of roll and pitch, added mass included
-    swing_drag: tuple[float, float]  # N m s, and N m s^2
+    swing_drag: tuple[float, float]  # of roll and pitch, N m s, and N m s^2
     battery_v: float
     curve_v: float  # at which the thrust curve was measured
 
     def settings(self) -> list[str]:
-        """The vehicle, and its righting moment in the simulator, as settings of an experiment."""
-        righting = load_vehicle(self.name).righting
-        assert righting is not None
+        """The vehicle, and its body in the simulator, as settings of an experiment."""
         linear, quadratic = self.swing_drag
         return [
             f"vehicle={self.name}",
             "controller.law=nmpc",
             f"sim.plant.buoyancy_n={self.buoyancy_n:g}",
-            f"sim.plant.tilt.righting_nm={righting.moment_nm:g}",
-            f"sim.plant.tilt.inertia_kg_m2={self.swing_inertia_kg_m2:g}",
             f"sim.plant.tilt.drag_linear={linear:g}",
             f"sim.plant.tilt.drag_quadratic={quadratic:g}",
             f"sim.sensors.battery_v={self.battery_v:g}",
@@ -132,7 +127,7 @@ VEHICLES: dict[str, ScaledVehicle | FileVehicle] = {
     "inertia-8": ScaledVehicle(inertia=8.0),
     "slow-thrusters": ScaledVehicle(lag_s=0.5, dead_time_s=0.15),
     "quick-thrusters": ScaledVehicle(lag_s=0.05, dead_time_s=0.0),
-    "vectored": FileVehicle("vectored", -1.0, 0.40, (0.07, 1.55), 14.8, 14.0),  # sources: the file's A, and for the drag B
+    "vectored": FileVehicle("vectored", -1.0, (0.07, 1.55), 14.8, 14.0),  # sources: the file's A, and for the drag B
 }
 
 
