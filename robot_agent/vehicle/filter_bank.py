@@ -16,7 +16,8 @@ Nobody knows how fast the water changes: still water and gusts differ by a facto
 changes with time takes the hull along, one that differs from place to place does not. So each filter of the bank assumes one
 kind of water, and the poses tell which is right: its weight grows with the likelihood of what it expected (multiple models;
 Blom and Bar-Shalom 1988). All share belief and F; the mean of their errors goes into the belief after each pose, and P of the
-whole is that of the mixture. One more filter has forces that change quickly: a cable, a broken thruster.
+whole is that of the mixture. One more filter has surge and sway forces that change quickly: a cable, a push. Its moment is no
+more restless than that of the others: against that the gyroscope speaks at every pose, and the filter loses all its weight.
 
 Drag and current are one direction on a straight path. There drag is considered and not learned (Schmidt): it keeps its
 variance, and that of the others counts it. So it is in the filters of restless water, on any path. The filter of still water

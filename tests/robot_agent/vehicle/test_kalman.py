@@ -95,6 +95,10 @@ CELLS = {
     "noise x 10": ((), 10.0),
     "current": (("sim.plant.current_mps=[0.05,0.08,0.0]",), 1.0),
     "gusts": (("sim.plant.gust_mps=0.03", "sim.plant.gust_s=8.0"), 1.0),
+    "a force of a quarter of the thrust": (
+        ("sim.plant.disturbance_wrench=[1.5,0.0,0.0]", "sim.plant.disturbance_hz=0.02"),
+        1.0,
+    ),
     "too light a file": (("sim.plant.mass_error=0.3", "sim.plant.drag_error=0.3"), 1.0),
 }
 
