@@ -16,8 +16,9 @@ Nobody knows how fast the water changes: still water and gusts differ by a facto
 changes with time takes the hull along, one that differs from place to place does not. So each filter of the bank assumes one
 kind of water, and the poses tell which is right: its weight grows with the likelihood of what it expected (multiple models;
 Blom and Bar-Shalom 1988). All share belief and F; the mean of their errors goes into the belief after each pose, and P of the
-whole is that of the mixture. One more filter has surge and sway forces that change quickly: a cable, a push. Its moment is no
-more restless than that of the others: against that the gyroscope speaks at every pose, and the filter loses all its weight.
+whole is that of the mixture. One more filter has surge and sway forces that change quickly: a push. Its moment is no more
+restless than that of the others: the gyroscope speaks against a restless moment at every pose, the filter loses its weight, is
+filled with the mixture at every pose, and never has a force of its own. Another has both: a cable, a broken thruster.
 
 Drag and current are one direction on a straight path. There drag is considered and not learned (Schmidt): it keeps its
 variance, and that of the others counts it. So it is in the filters of restless water, on any path. The filter of still water
@@ -61,7 +62,8 @@ class Bank(NamedTuple):
 
     by_time_m2ps3: Floats  # (filters,) intensity of the current's change with time that each assumes,
     by_place_mps2: Floats  # (filters,) variance of its change over a metre of the robot's way,
-    force_m2ps5: Floats  # (filters,) and intensity of surge and sway forces beyond what `Noise` says
+    force_m2ps5: Floats  # (filters,) intensity of surge and sway forces beyond what `Noise` says,
+    moment_rad2ps5: Floats  # (filters,) and of the yaw moment
     weight: Floats  # (filters,) their sum is 1
     mean: Table  # (filters, ERRORS) of the error, about the common belief: that of the whole is 0 between two poses
     covariance: Cube  # (filters, ERRORS, ERRORS)
@@ -197,6 +199,7 @@ def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Flo
             mean[i] = moved[i]
         p[FORCE_U, FORCE_U] += bank.force_m2ps5[j] * dt
         p[FORCE_V, FORCE_V] += sway * bank.force_m2ps5[j] * dt
+        p[FORCE_R, FORCE_R] += bank.moment_rad2ps5[j] * dt
         stream(p, sway * bank.by_time_m2ps3[j] * dt, sway * bank.by_place_mps2[j] * way_m, cos, sin)
 
 

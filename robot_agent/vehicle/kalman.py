@@ -63,14 +63,15 @@ from shoal.frames import Array
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Table
 
-KINDS = (  # of water: change with time m^2/s^3, over a metre (m/s)^2/m; share of the thrusters' force by which forces change
-    (5e-8, 5e-7, 0.0),  # a basin at rest: 1 mm/s within 10 s. It alone learns drag
-    (1e-5, 0.0, 0.0),  # with time, 1 cm/s,
-    (6e-5, 0.0, 0.0),  # 2.5 cm/s,
-    (4e-4, 0.0, 0.0),  # and 6 cm/s within 10 s: gusts, waves
-    (0.0, 3e-4, 0.0),  # from place to place: 2 cm/s,
-    (0.0, 1.2e-3, 0.0),  # and 3.5 cm/s over a metre
-    (1e-7, 0.0, 0.1),  # a cable, a push: no restless moment beside it, because the gyroscope would speak against both
+KINDS = (  # of water: change with time m^2/s^3, over a metre (m/s)^2/m; of forces and moment: share of the thrusters' own
+    (5e-8, 5e-7, 0.0, 0.0),  # a basin at rest: 1 mm/s within 10 s. It alone learns drag
+    (1e-5, 0.0, 0.0, 0.0),  # with time, 1 cm/s,
+    (6e-5, 0.0, 0.0, 0.0),  # 2.5 cm/s,
+    (4e-4, 0.0, 0.0, 0.0),  # and 6 cm/s within 10 s: gusts, waves
+    (0.0, 3e-4, 0.0, 0.0),  # from place to place: 2 cm/s,
+    (0.0, 1.2e-3, 0.0, 0.0),  # and 3.5 cm/s over a metre
+    (1e-7, 0.0, 0.1, 0.0),  # a push: no restless moment beside it, because the gyroscope would speak against both
+    (1e-7, 0.0, 0.1, 0.1),  # a cable, a hand, a thruster that is not what it was
 )
 KIND_LASTS_S = 1000.0  # water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
@@ -414,6 +415,7 @@ class KalmanEstimator(Estimator):
             by_time_m2ps3=kinds[0],
             by_place_mps2=kinds[1],
             force_m2ps5=2.0 / LASTS_S * (kinds[2] * vehicle.limits.wrench[0] / float(vehicle.inertia[0])) ** 2,
+            moment_rad2ps5=2.0 / LASTS_S * (kinds[3] * vehicle.limits.wrench[2] / float(vehicle.inertia[3])) ** 2,
             weight=np.full(count, 1.0 / count),
             mean=np.zeros((count, ERRORS)),
             covariance=np.zeros((count, ERRORS, ERRORS)),

@@ -25,6 +25,7 @@ def random_bank(seed: int, filters: int = 3) -> Bank:
         by_time_m2ps3=np.array([5e-8, 1e-5, 2e-5])[:filters],
         by_place_mps2=np.array([5e-7, 0.0, 4e-4])[:filters],
         force_m2ps5=np.array([0.0, 0.0, 3e-3])[:filters],
+        moment_rad2ps5=np.array([0.0, 0.0, 7e-3])[:filters],
         weight=random.dirichlet(np.ones(filters)),
         mean=random.standard_normal((filters, ERRORS)) * 0.01,
         covariance=root @ root.swapaxes(1, 2),
@@ -92,7 +93,7 @@ def test_a_filter_of_the_bank_is_the_dense_one(learns: bool) -> None:
     way_m = dt * abs((0.3 - 0.1j) * complex(cos, sin) + 0.2 + 0.05j)
     g, by_time, force = np.zeros((ERRORS, 2)), np.zeros(ERRORS), np.zeros(ERRORS)
     g[9], g[10], g[3], g[4] = (1.0, 0.0), (0.0, 1.0), (-cos, -sin), (sin, -cos)
-    by_time[9:11], force[6:8] = 2e-5 * dt, 3e-3 * dt
+    by_time[9:11], force[6:9] = 2e-5 * dt, np.array([3e-3, 3e-3, 7e-3]) * dt
     p, mean = f @ p @ f.T + np.diag(q + by_time + force) + 4e-4 * way_m * g @ g.T, f @ mean
     assert bank.covariance[2] == pytest.approx(p, abs=1e-12)
     likelihood = 0.0
