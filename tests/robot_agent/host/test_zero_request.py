@@ -18,7 +18,6 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink, Telemetry
-from shoal.messages.messages import Mode
 from shoal.runtime.runtime import Stop
 from tests.robot_agent.autopilot import Autopilot
 from tests.robot_agent.host.restarted_board import POOL, STEP_NS, RestartedBoard
@@ -95,9 +94,6 @@ def refused(config: Path, state: Path) -> str:
 
 def test_the_reason_of_a_refusal_is_told(stepping: AgentNode, agent_toml: Path, tmp_path: Path) -> None:
     """And not that another program has the board's port, as the command would find itself."""
-    stepping.agent.mode = Mode.ARMED
-    assert refused(agent_toml, tmp_path / "state") == "the robot has power: disarm it first"
-    stepping.agent.mode = Mode.DISARMED
     assert isinstance(stepping.link, RestartedBoard)
     stepping.link.board.zero.surface_hpa = None  # as of a board that was never switched on in air
     assert "no depth zero is kept: take it in air" in refused(agent_toml, tmp_path / "state")
@@ -120,14 +116,16 @@ def test_of_two_people_at_once_one_is_told_to_wait(agent_toml: Path, tmp_path: P
     assert "udp:127.0.0.1:9" in first[0]  # nobody answers there either
 
 
-def test_no_request_goes_to_an_autopilot(tmp_path: Path) -> None:
+@pytest.mark.parametrize("has_power", [False, True])
+def test_no_request_goes_to_an_autopilot_nor_to_a_robot_with_power(tmp_path: Path, has_power: bool) -> None:
     link, there = AgentLink(1), Autopilot()
     there.send(link.heartbeat())
     link.receive(there.read(), 0)
-    assert link.telemetry.autopilot_name
     write_request(tmp_path / zero_request.FILE, in_air=True)
-    assert ZeroRequests(tmp_path).step(link) == b""
-    assert "autopilot" in (tmp_path / zero_request.FILE).read_text(encoding="ascii")
+    time.sleep(0.01)  # its time is rounded
+    assert ZeroRequests(tmp_path).step(link, has_power) == b""
+    said = (tmp_path / zero_request.FILE).read_text(encoding="ascii")
+    assert said.startswith("refused the robot has power" if has_power else "refused autopilot 3")
 
 
 @pytest.mark.parametrize(
