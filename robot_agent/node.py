@@ -273,9 +273,9 @@ class AgentNode:
             self.mavlink.set_zero(zero_m)
         if self.clock.waits:
             return self.mavlink.telemetry
-        request = self._parameters.step(self.mavlink, now_ns * 1e-9)
-        request += self._zero_requests.step(self.mavlink)
-        if request and self.agent.mode not in LIVE:
+        request, has_power = self._parameters.step(self.mavlink, now_ns * 1e-9), self.agent.mode in LIVE
+        request += self._zero_requests.step(self.mavlink, has_power)
+        if request and not has_power:
             self.link.send(request)
         objection = self._parameters.objection
         if not objection and not self.mavlink.telemetry.echo_us:
