@@ -28,7 +28,10 @@ def answers(outcome: Outcome) -> Callable[[Header, Command], Reply]:
     ("outcomes", "said"),
     [
         ((DONE,), ["stop: confirmed by 1, 2"]),
-        ((DONE, FAILED), ["17501 (pool, process", "stop: confirmed by 1, 2", "17502 (pool", "stop: failed: robot 2 is tracking"]),
+        (
+            (DONE, FAILED),
+            ["17501 (pool, process", "stop: confirmed by 1, 2", "17502 (pool", "stop: failed: robot 2 is tracking"],
+        ),
         ((FAILED, DONE), ["17501 (pool, process", "stop: failed: robot 2 is tracking", "17502 (pool", "confirmed by 1, 2"]),
     ],
 )
