@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.harness import Row
-from robot_agent.control.any_controller import AnyController, controller_class
+from robot_agent.control.any_controller import make_controller
+from robot_agent.control.controller import Controller, Setting
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.dynamics import Model, State
@@ -29,7 +30,7 @@ NOISE = (0.0015, 0.0015, 0.009, 0.002, 0.003)  # x, y, yaw, depth, yaw rate: wha
 
 SETTINGS = {"default": (), "article's": ("controller.law=eso-mpc-article",)}
 
-Tamper = Callable[[AnyController, Experiment], None]
+Tamper = Callable[[Controller, Experiment], None]
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,7 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
     vehicle, count = experiment.vehicle, case.neighbours + 1
     model = Model(vehicle, experiment.controller.estimator.sway, experiment.controller.law == "nmpc")
     paths = [circle(place, steps * STEP_S) for place in places(count, case.beside)]
-    make = controller_class(experiment.controller)
-    robots = [make(vehicle, experiment.controller, experiment.safety) for _ in range(count)]
+    robots = [make_controller(Setting(vehicle, experiment.controller, experiment.safety)) for _ in range(count)]
     if tamper is not None:
         tamper(robots[0], experiment)
     states: list[State] = [(*map(float, path.eta[0]), *(0.0,) * 7) for path in paths]
@@ -136,7 +136,7 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
                     errors.append(float(np.hypot(*(np.array(states[0][:2]) - paths[0].eta[k + WARM_UP, :2]))))
                     changes.append(required(output.control).wrench_step / experiment.wrench_step)
                     unsolved += output.solve is not Solve.SOLVED
-                plans[i] = Plan(robot.told_period_s, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
+                plans[i] = Plan(robot.plan_period_s, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
                 states[i] = model.advance(
                     states[i], (0.01, 0.0, 0.0, 0.0), required(output.control).wrench_delivered.tolist(), STEP_S
                 )
