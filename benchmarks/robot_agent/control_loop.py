@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.harness import Row
-from robot_agent.control.any_controller import AnyController, controller_class
+from robot_agent.control.any_controller import make_controller
+from robot_agent.control.controller import Controller, Setting
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.dynamics import Model, State
@@ -34,7 +35,7 @@ DISTURBANCE = (0.01, 0.0, 0.0, 0.0)  # m/s^2, a force of the robot: unlike thrus
 
 SETTINGS = {"default": (), "article's": ("controller.law=eso-mpc-article",)}
 
-Tamper = Callable[[AnyController, Experiment], None]
+Tamper = Callable[[Controller, Experiment], None]
 
 
 @dataclass(frozen=True)
@@ -137,8 +138,7 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
     model = Model(vehicle, experiment.controller.estimator.sway, experiment.controller.law == "nmpc")
     dead_steps = round(vehicle.thruster.dead_time_s / STEP_S)
     paths = [circle(place, (WARM_UP + steps) * STEP_S + BEYOND_S) for place in places(count, case.beside)]
-    make = controller_class(experiment.controller)
-    robots = [make(vehicle, experiment.controller, experiment.safety) for _ in range(count)]
+    robots = [make_controller(Setting(vehicle, experiment.controller, experiment.safety)) for _ in range(count)]
     if tamper is not None:
         tamper(robots[0], experiment)
     waters = [Water(model, (*map(float, path.eta[0]), *(0.0,) * 7), dead_steps) for path in paths]
@@ -165,7 +165,7 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
                     errors.append(math.dist(waters[0].state[:2], paths[0].eta[k + WARM_UP, :2]))
                     changes.append(required(output.control).wrench_step / experiment.wrench_step)
                     unsolved += output.solve is not Solve.SOLVED
-                plans[i] = Plan(robot.told_period_s, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
+                plans[i] = Plan(robot.plan_period_s, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
                 waters[i].advance(required(output.control).wrench_delivered.tolist())
     finally:
         gc.enable()
