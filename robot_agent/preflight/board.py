@@ -173,8 +173,8 @@ def listen(config: AgentConfig, wanted: Mapping[str, float] | None) -> tuple[Age
                     deadline += PARAMETERS_WITHIN_S
                 is_heard = True
                 judged = not telemetry.zero_in_question or telemetry.board_ms > ZERO_JUDGED_MS
-                known = parameters is None or mavlink.parameters.is_complete
-                if telemetry.battery_reports and telemetry.heartbeats and judged and known:
+                is_complete = parameters is None or mavlink.parameters.is_complete
+                if telemetry.battery_reports and telemetry.heartbeats and judged and is_complete:
                     break
         if not is_heard:
             why = wires.trouble or _foreign_frames(mavlink.telemetry, config.robot)

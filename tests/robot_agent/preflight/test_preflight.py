@@ -289,7 +289,7 @@ def test_a_board_that_tells_no_parameters_fails_by_name(monkeypatch: pytest.Monk
 
 
 def parameters_line(board: Link, monkeypatch: pytest.MonkeyPatch) -> CheckFinding:
-    """What the preflight finds of a board's parameters."""
+    """The preflight's line about a board's parameters."""
     monkeypatch.setattr(check_shell, "open_board_link", lambda config: (board, None))
     monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
     config = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
