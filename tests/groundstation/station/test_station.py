@@ -18,7 +18,6 @@ from groundstation.formation_clock import named_alone
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import RETRY_S
 from groundstation.mission.gain_update import GainUpdater
-from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.roster import Leader
@@ -89,7 +88,6 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     with workers(len(experiment.robot_ids)) as threads:
         yield Station(
             experiment, bus, WallClock(), recorder, Mission(experiment, segment, starts, False), tuner,
-            LapStatistics(tuner.lap_s),
             subscribe_fleet(bus, experiment.robot_ids), threads,
         )  # fmt: skip
     recorder.close()

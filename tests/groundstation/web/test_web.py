@@ -416,6 +416,17 @@ def test_only_a_changed_file_of_an_experiment_is_read_again(tmp_path: Path, monk
     assert loadable("45", 3 * 10**9) and loadable("46", 3 * 10**9)  # a file that looks the same is not opened
 
 
+@pytest.mark.parametrize("ids", [("", ""), ("id = 4", 'id = "five"'), ("id = [4]", "id = 5"), ("id = 5", "id = 5")])
+def test_a_half_written_experiment_is_none_to_load(
+    ids: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each page is told the list when it connects: an error there would keep every page out."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "experiments").mkdir()
+    (tmp_path / "experiments" / "half.toml").write_text("".join(f"[[robots]]\n{line}\n" for line in ids))
+    assert experiment_editor.loadable((4, 5)) == []
+
+
 def test_an_edit_is_kept_under_a_new_name_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     edit = protocol.Edit(diameter_m=0.5)
