@@ -91,19 +91,19 @@ class Water:
 
     def __init__(self, model: Model, state: State, dead_steps: int) -> None:
         self._model, self.state = model, state
-        self._seen = state  # POSE_AGE_S ago
+        self._past_state = state  # POSE_AGE_S ago
         self._commands = [[0.0, 0.0, 0.0]] * dead_steps
 
     def advance(self, wrench: list[float]) -> None:
         """Go on for one control step, at whose beginning `wrench` is sent."""
         self._commands.append(wrench)
         acting = self._commands.pop(0)
-        self._seen = self._model.advance(self.state, DISTURBANCE, acting, STEP_S - POSE_AGE_S)
+        self._past_state = self._model.advance(self.state, DISTURBANCE, acting, STEP_S - POSE_AGE_S)
         self.state = self._model.advance(self.state, DISTURBANCE, acting, STEP_S)
 
     def measurement(self, now_ns: int, noise: Array) -> StateMeasurement:
         """Pose of POSE_AGE_S ago, depth and yaw rate of now."""
-        x, y, _, yaw, *_ = self._seen
+        x, y, _, yaw, *_ = self._past_state
         x, y, yaw, depth, yaw_rate = (np.array([x, y, yaw, self.state[2], self.state[7]]) + noise).tolist()
         stamp_ns = now_ns - round(POSE_AGE_S * 1e9)
         return StateMeasurement(PoseMeasurement(stamp_ns, x, y, wrap(yaw), NOISE[0] ** 2, NOISE[2] ** 2), depth, yaw_rate)
