@@ -105,7 +105,7 @@ def test_waiting_ends_on_arrival_on_time_and_on_stop() -> None:
 
 
 def waited_until_stopped_s(bus: Bus) -> float:
-    """How long a process that is told to stop after 0.05 s goes on waiting for a message."""
+    """Time for which a process that is told to stop after 0.05 s goes on waiting for a message."""
     stop, began_s = Stop(install=False), time.monotonic()
     threading.Timer(0.05, stop.request).start()
     assert not wait(bus, stop, lambda: False, 60.0)
