@@ -242,7 +242,7 @@ def test_values_that_do_not_go_together(setting: str, complaint: str) -> None:
 
 @pytest.mark.parametrize("formation", ["formation.shape=line", "formation.shape=circle"])
 def test_a_formation_by_name_of_no_robots_is_refused_for_the_robots(formation: str) -> None:
-    with pytest.raises(ConfigError, match="robots = .*at least 1"):
+    with pytest.raises(ConfigError, match=r"robots = .*at least 1"):
         load_experiment("pool", [formation, "robots=[]"])
 
 
