@@ -67,9 +67,10 @@ def test_a_fault_by_hand_is_logged_in_words_that_repeat_it(tmp_path: Path, caplo
     person, clock = Bus(MemoryTransport(hub)), WallClock()
 
     def ask() -> None:
-        for what in ("rudder 1 lost", "thruster 7/1 dead", "thruster 1/5 dead", "camera east dark"):
+        for what in ("rudder 1 lost", "thruster 7/1 dead", "thruster 1/5 dead", "camera east dark", "process agent-1 killed"):
             person.publish(topics.FAULT, FaultRequest(what), clock.now_ns())
-        person.publish(topics.FAULT, FaultRequest("thruster 1/3 dead", 5.0), clock.now_ns())
+        for for_s in (-5.0, 5.0):
+            person.publish(topics.FAULT, FaultRequest("thruster 1/3 dead", for_s), clock.now_ns())
         person.publish(topics.FAULT, FaultRequest("battery 1 sag"), clock.now_ns())
 
     def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
@@ -91,7 +92,14 @@ def test_a_fault_by_hand_is_logged_in_words_that_repeat_it(tmp_path: Path, caplo
     # What ended before the start is told, and no fault of a flight from there on.
     assert f"{BY_HAND}before the start for=5 thruster 1/3 dead" in lines
     refused = [line for line in lines if line.startswith("a fault that cannot be made: ")]
-    reasons = ("'rudder' cannot be broken", "no robot 7", "no such thruster (allowed: 1, 2, 3, 4)", "no camera 'east'")
+    reasons = (
+        "'rudder' cannot be broken",
+        "no robot 7",
+        "no such thruster (allowed: 1, 2, 3, 4)",
+        "no camera 'east'",
+        "only by the timeline",
+        "must be seconds",
+    )
     assert len(refused) == len(reasons) and all(reason in line for reason, line in zip(reasons, refused, strict=True))
     assert repeated == ["t=0.000 battery 1 sag"]
     assert load_experiment("pool", faults=repeated).sim.faults[0].what == "battery 1 sag"
