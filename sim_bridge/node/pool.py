@@ -141,8 +141,8 @@ class PoolNode:
             if request.what:
                 thrusters, uses_camera = experiment.vehicle.thruster_channels, experiment.localizer.uses_camera
                 text = f"{request.what} for {request.for_s!r}" if request.for_s else request.what
-                asked = read_request(text, experiment.robot_ids, thrusters, experiment.camera_names, uses_camera)
-                request = FaultRequest(*asked)
+                names = experiment.camera_names
+                request = FaultRequest(*read_request(text, experiment.robot_ids, thrusters, names, uses_camera))
         except (DecodeError, ValueError) as error:
             log.warning("a fault that cannot be made: %s", error)
         else:
