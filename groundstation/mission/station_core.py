@@ -52,7 +52,8 @@ class StationCore:
         commands = self.mission.step(fleet, for_mission, now_ns, obstacles)
         commands += self.single.step(fleet, for_one, now_ns)
         commands += self.tuner.step(fleet, for_tuner, now_ns)
-        self.laps.update(self.mission.flying(fleet))
+        if (laps := self.mission.laps) is not None:
+            self.laps.update(self.mission.flying(fleet), laps)
         return commands
 
     def view(self, robot: int, view: RobotView, now_ns: int) -> RobotView:
@@ -139,7 +140,9 @@ class StationCore:
         if values is None:
             reason = self.tuner.undo(formation, now_ns)
         else:
-            reason = self.tuner.request(values, next_lap, formation, now_ns, self.mission.flying(formation))
+            laps, flying = self.mission.laps if next_lap else None, self.mission.flying(formation)
+            home = "there is no next lap: the robots are on their way home" if next_lap and laps is None else ""
+            reason = home or self.tuner.request(values, laps, formation, now_ns, flying)
         return reason, 0 if reason else self.requests.begin(CommandKind.TUNE, self.mission, self.tuner.status().wanted)
 
     def _end(self, fleet: Fleet, now_ns: int) -> str:

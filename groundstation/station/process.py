@@ -100,7 +100,7 @@ def cycles(
         threads = served.enter_context(workers(len(trajectories)))
         mission = Mission(experiment, segment, starts, options.automatic, options.give_up_s)
         inboxes, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
-        laps = LapStatistics(tuner.lap_s)
+        laps = LapStatistics()
         station = Station(experiment, bus, clock, recorder, mission, tuner, laps, inboxes, threads, insecure=options.insecure)
         station.views = station.fleet()
         bus.serve(WHOLE_FLEET, station.on_operator_command)

@@ -273,7 +273,7 @@ class SimulatedFleet:
             experiment,
             Mission(experiment, segment, self.starts, self.automatic, self.give_up_s),
             tuner,
-            LapStatistics(tuner.lap_s),
+            LapStatistics(),
         )
         self.mission, self.single = self.core.mission, self.core.single
         self._states: dict[int, deque[tuple[int, int, RobotState]]] = {r: deque() for r in self.robots}

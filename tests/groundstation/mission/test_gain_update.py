@@ -8,6 +8,7 @@ import pytest
 
 from groundstation.mission.command_dispatcher import RETRY_S, CommandResult
 from groundstation.mission.gain_update import AGAIN_S, PATIENCE_S, GainStage, GainUpdater
+from groundstation.mission.lap_statistics import LapClock
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import RobotView
 from shoal.config.experiment import load_experiment
@@ -83,7 +84,8 @@ class TunedFleet:
     def request(self, value: float = VALUE, next_lap: bool = False) -> str:
         views = self.views()
         flying = {r: view.state for r, view in views.items() if view.state is not None and view.mode is Mode.TRACKING}
-        return self.tuner.request({KEY: value}, next_lap, views, round(self.now_s * 1e9), flying)
+        laps = LapClock(EXPERIMENT, EXPERIMENT.duration_s) if next_lap else None
+        return self.tuner.request({KEY: value}, laps, views, round(self.now_s * 1e9), flying)
 
     def undo(self) -> str:
         return self.tuner.undo(self.views(), round(self.now_s * 1e9))
@@ -212,8 +214,8 @@ def test_gains_for_a_next_lap_that_never_comes_are_refused(progress_s: float, mo
 
 
 def test_a_path_without_laps_has_no_next_one() -> None:
-    tuner = GainUpdater(load_experiment("figure-eight"))
-    assert tuner.request({KEY: VALUE}, True, {}, 0, {}) == "this path has no laps"
+    flown = load_experiment("figure-eight")
+    assert GainUpdater(EXPERIMENT).request({KEY: VALUE}, LapClock(flown, 40.0), {}, 0, {}) == "this path has no laps"
 
 
 def test_wishes_that_cannot_be() -> None:

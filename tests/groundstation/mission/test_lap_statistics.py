@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.lap_statistics import LapStatistics
+from groundstation.mission.lap_statistics import LapClock, LapStatistics
+from shoal.config.experiment import load_experiment
 from shoal.messages.messages import Control, Estimate, Mode, RobotState
 
 LAP_S = 10.0
+ROUND = load_experiment("pool", [f"path.lap_s={LAP_S}", "path.diameter_m=0.2"])
+CLOCK = LapClock(ROUND, ROUND.duration_s)
 
 
 def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0.01) -> None:
@@ -18,13 +21,14 @@ def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0
                 mode=Mode.TRACKING, tuning_id="a", trajectory_s=s, estimate=Estimate(eta=away), control=Control()
             )
             for robot, s in trajectory_s.items()
-        }
+        },
+        CLOCK,
     )
 
 
 def test_a_hold_and_resume_from_the_slowest_keeps_the_laps() -> None:
     """One robot holds by itself; until the others do they come a little further, and go back by that when all resume."""
-    laps = LapStatistics(LAP_S)
+    laps = LapStatistics()
     for k in range(1, 301):
         note(laps, {1: 0.05 * k, 2: 0.05 * k}, 0.01 if k <= 200 else 0.02)
     for k in (301, 302, 303):
@@ -39,7 +43,7 @@ def test_a_hold_and_resume_from_the_slowest_keeps_the_laps() -> None:
 
 
 def test_another_run_begins_another_table() -> None:
-    laps = LapStatistics(LAP_S)
+    laps = LapStatistics()
     for k in range(1, 250):
         note(laps, {1: 0.05 * k})
     note(laps, {1: 0.05})
@@ -49,7 +53,7 @@ def test_another_run_begins_another_table() -> None:
 
 def test_a_robot_that_joins_late_makes_no_lap_shorter() -> None:
     """Robot 2 is away from 5 s to 15 s, over the end of the first lap; robot 3 joins at 18 s."""
-    laps = LapStatistics(LAP_S)
+    laps = LapStatistics()
     for k in range(1, 371):
         flying = {1: True, 2: not 100 < k < 300, 3: k >= 360}
         note(laps, {robot: 0.05 * k for robot, flies in flying.items() if flies})
@@ -59,12 +63,12 @@ def test_a_robot_that_joins_late_makes_no_lap_shorter() -> None:
 
 
 def test_an_error_that_is_not_known_is_left_out_and_the_time_is_not() -> None:
-    laps = LapStatistics(LAP_S)
+    laps = LapStatistics()
     for k in range(1, 191):
         if k % 3:
             note(laps, {1: 0.05 * k}, 0.02)
         else:
-            laps.update({1: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=0.05 * k, control=Control())})
+            laps.update({1: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=0.05 * k, control=Control())}, CLOCK)
     (lap,) = laps.laps()
     assert lap.rms_m == pytest.approx(0.02)
     assert lap.time_s == pytest.approx(9.45, abs=0.06)

@@ -75,6 +75,31 @@ def test_a_path_that_is_loaded_at_rest_moves_nobody_and_is_what_the_next_start_f
     until(fleet, MissionState.DONE, 40.0)
 
 
+@pytest.mark.parametrize(
+    ("session", "text", "laps", "next_lap"),
+    [
+        (["path.lap_s=20", "path.diameter_m=0.4"], other(), [0], "this path has no laps"),
+        (["path.lap_s=50"], f'name = "ring"\nduration_s = 59.0\n{CIRCLE}'.replace("60.0", "20.0"), [0, 1, 2, 3], ""),
+    ],
+    ids=["a path without laps", "other laps"],
+)
+def test_laps_are_those_of_the_path_that_is_flown(session: list[str], text: str, laps: list[int], next_lap: str) -> None:
+    """And the ways into its places are in none of them."""
+    fleet = SimulatedFleet(load_experiment("pool", session))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.PATH, text) == ""
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    fleet.run(fleet.mission.segment.end_s - 59.0 + 30.0 if next_lap == "" else 30.0)
+    reason, _ = fleet.core.request_gains({"controller.nmpc.turning_m": 0.2}, True, fleet.fleet, fleet.now_ns)
+    assert reason == next_lap
+    until(fleet, MissionState.DONE, 60.0)
+    flown = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
+    assert sorted(flown) == laps
+    assert {n: s for n, s in flown.items() if n in (1, 2)} == {n: pytest.approx(20.0, abs=2.0) for n in laps if n in (1, 2)}
+
+
 def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: SimulatedFleet) -> None:
     assert ask(fleet, CommandKind.START) == ""
     until(fleet, MissionState.RUNNING, 10.0)

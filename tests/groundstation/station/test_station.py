@@ -86,7 +86,7 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     with workers(len(experiment.robot_ids)) as threads:
         yield Station(
             experiment, bus, WallClock(), recorder, Mission(experiment, segment, starts, False), tuner,
-            LapStatistics(tuner.lap_s),
+            LapStatistics(),
             subscribe_fleet(bus, experiment.robot_ids), threads,
         )  # fmt: skip
     recorder.close()
