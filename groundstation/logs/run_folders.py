@@ -53,7 +53,7 @@ def list_runs(folder: Path) -> list[ListedRun]:
     for log in folder.glob("*/run.mcap"):
         try:
             runs.append(_listed(log))
-        except OSError:
+        except (OSError, OverflowError, ValueError):  # the last two: a date of the file beyond those of a calendar
             continue
     return sorted(runs, key=lambda run: (run.date, run.run))
 

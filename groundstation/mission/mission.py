@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
-from groundstation.mission.lap_statistics import LapClock
 from groundstation.mission.objections import (
     ARMED,
     LIVE,
@@ -154,11 +153,6 @@ class Mission:
     @property
     def segment(self) -> PlanSegment:
         return self.plans.segment
-
-    @property
-    def laps(self) -> LapClock | None:
-        """Laps of the path that is flown, which may be another than the session's; None on the way home."""
-        return None if self.segment.is_return else LapClock(self.plans.flown, self.segment.end_s)
 
     @property
     def _awaits_return(self) -> bool:

@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.lap_statistics import LapClock, LapStatistics
-from shoal.config.experiment import load_experiment
+from groundstation.mission.lap_statistics import FlownLaps, LapStatistics
 from shoal.messages.messages import Control, Estimate, Mode, RobotState
 
 LAP_S = 10.0
-ROUND = load_experiment("pool", [f"path.lap_s={LAP_S}", "path.diameter_m=0.2"])
-CLOCK = LapClock(ROUND, ROUND.duration_s)
+PATH = FlownLaps(LAP_S)
 
 
-def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0.01) -> None:
+def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0.01, path: FlownLaps = PATH) -> None:
     """A step of robots that are so far along, all as far from their references."""
     away = np.array([error_m, 0.0, 0.0, 0.0])
     laps.update(
@@ -22,7 +20,7 @@ def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0
             )
             for robot, s in trajectory_s.items()
         },
-        CLOCK,
+        path,
     )
 
 
@@ -68,7 +66,19 @@ def test_an_error_that_is_not_known_is_left_out_and_the_time_is_not() -> None:
         if k % 3:
             note(laps, {1: 0.05 * k}, 0.02)
         else:
-            laps.update({1: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=0.05 * k, control=Control())}, CLOCK)
+            laps.update({1: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=0.05 * k, control=Control())}, PATH)
     (lap,) = laps.laps()
     assert lap.rms_m == pytest.approx(0.02)
     assert lap.time_s == pytest.approx(9.45, abs=0.06)
+
+
+def test_laps_of_another_path_are_counted_from_its_own_beginning() -> None:
+    """A path without laps until 12 s, then one with laps of 4 s that begins at 15 s, after a transfer into place."""
+    laps = LapStatistics()
+    for k in range(1, 241):
+        note(laps, {1: 0.05 * k}, path=FlownLaps(None))
+    assert [lap.number for lap in laps.laps()] == [0]
+    for k in range(241, 481):
+        note(laps, {1: 0.05 * k}, path=FlownLaps(4.0, path_s=15.0, flight=1))
+    assert [lap.number for lap in laps.laps()] == [1, 2, 3]
+    assert [lap.time_s for lap in laps.laps()][1] == pytest.approx(4.0, abs=0.11)

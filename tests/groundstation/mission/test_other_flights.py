@@ -75,31 +75,6 @@ def test_a_path_that_is_loaded_at_rest_moves_nobody_and_is_what_the_next_start_f
     until(fleet, MissionState.DONE, 40.0)
 
 
-@pytest.mark.parametrize(
-    ("session", "text", "laps", "next_lap"),
-    [
-        (["path.lap_s=20", "path.diameter_m=0.4"], other(), [0], "this path has no laps"),
-        (["path.lap_s=50"], f'name = "ring"\nduration_s = 59.0\n{CIRCLE}'.replace("60.0", "20.0"), [0, 1, 2, 3], ""),
-    ],
-    ids=["a path without laps", "other laps"],
-)
-def test_laps_are_those_of_the_path_that_is_flown(session: list[str], text: str, laps: list[int], next_lap: str) -> None:
-    """And the ways into its places are in none of them."""
-    fleet = SimulatedFleet(load_experiment("pool", session))
-    fleet.run(1.0)
-    assert ask(fleet, CommandKind.PATH, text) == ""
-    fleet.run(1.0)
-    assert ask(fleet, CommandKind.START) == ""
-    until(fleet, MissionState.RUNNING, 10.0)
-    fleet.run(fleet.mission.segment.end_s - 59.0 + 30.0 if next_lap == "" else 30.0)
-    reason, _ = fleet.core.request_gains({"controller.nmpc.turning_m": 0.2}, True, fleet.fleet, fleet.now_ns)
-    assert reason == next_lap
-    until(fleet, MissionState.DONE, 60.0)
-    flown = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
-    assert sorted(flown) == laps
-    assert {n: s for n, s in flown.items() if n in (1, 2)} == {n: pytest.approx(20.0, abs=2.0) for n in laps if n in (1, 2)}
-
-
 def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: SimulatedFleet) -> None:
     assert ask(fleet, CommandKind.START) == ""
     until(fleet, MissionState.RUNNING, 10.0)
@@ -155,6 +130,34 @@ def test_robots_change_places_at_rest_and_from_a_hold(fleet: SimulatedFleet, hol
     while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s:
         fleet.step()
     assert all(np.hypot(*(fleet.robots[3 - r].eta[:2] - was[r])) < 0.05 for r in (1, 2))
+
+
+@pytest.mark.parametrize(
+    ("state", "form"),
+    [
+        (MissionState.WAITING, "turn 30 over 12"),
+        (MissionState.PAUSED, "turn 30 over 12"),
+        (MissionState.RUNNING, "line 0.9 turn 40"),
+    ],
+)
+def test_a_draft_of_a_form_is_the_form_that_is_then_flown(fleet: SimulatedFleet, state: MissionState, form: str) -> None:
+    """A person sees it before asking for it."""
+    if state is not MissionState.WAITING:
+        assert ask(fleet, CommandKind.START) == ""
+        until(fleet, MissionState.RUNNING, 10.0)
+    if state is MissionState.PAUSED:
+        assert ask(fleet, CommandKind.HOLD) == ""
+        fleet.run(2.0)
+    assert fleet.mission.state is state
+    before = fleet.mission.segment
+    drafted = fleet.mission.plans.draft_form(form, fleet.fleet, fleet.now_ns, state)()
+    assert fleet.mission.segment is before and fleet.mission.plan_request is None
+    assert ask(fleet, CommandKind.FORMATION, form) == ""
+    while fleet.mission.segment is before:
+        fleet.step()
+    for robot, trajectory in fleet.mission.segment.trajectories.items():
+        assert np.allclose(drafted.trajectories[robot].eta[-1, :3], trajectory.eta[-1, :3], atol=0.01)
+        assert not np.allclose(before.trajectories[robot].eta[-1, :3], trajectory.eta[-1, :3], atol=0.1)
 
 
 def test_a_path_that_cannot_be_flown_here_leaves_the_one_before(fleet: SimulatedFleet) -> None:

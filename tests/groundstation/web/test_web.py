@@ -350,7 +350,8 @@ def test_the_picture_lies_where_the_camera_sees_it(rotation: tuple[float, float,
 
 def test_the_mesh_covers_the_basin() -> None:
     points, places = mesh(POOL, POOL.camera)
-    assert np.all(np.abs(points).reshape(-1, 2).max(axis=0) >= np.array(POOL.pool.size_m[:2]) / 2)
+    walls = np.array(POOL.pool.size_m[:2]) / 2
+    assert np.all(points.reshape(-1, 2).max(axis=0) >= walls) and np.all(points.reshape(-1, 2).min(axis=0) <= -walls)
     middle = places.reshape(-1, 2)[np.argmin(np.linalg.norm(points.reshape(-1, 2), axis=1))]
     np.testing.assert_allclose(middle, [0.5, 0.5], atol=0.05)
 
