@@ -63,8 +63,8 @@ def test_a_run_with_the_date_of_no_calendar_is_listed(runs: Path, monkeypatch: p
     stat = Path.stat
 
     def dated(path: Path, **options: Any) -> os.stat_result:
-        found = stat(path, **options)
-        return os.stat_result((*found[:8], date_s, found[9])) if path.parent.name == "cut" else found
+        real = stat(path, **options)
+        return os.stat_result((*real[:8], date_s, real[9])) if path.parent.name == "cut" else real
 
     monkeypatch.setattr(Path, "stat", dated)
     assert sorted(Path(run.run).name for run in list_runs(runs)) == ["cut", "first", "second", "strange"]
