@@ -36,6 +36,9 @@ ERRORS = 16
 X, Y, YAW, U, V, R, FORCE_U, FORCE_V, FORCE_R, CURRENT_X, CURRENT_Y, GYRO, DRAG, THRUST, MOMENT, TURN_DRAG = range(ERRORS)
 NUMBERS = 23  # of the belief: state 11, own forces 4, current 2, the four ln, gyroscope's bias, side thrust
 ACTING, LN, BIAS, SIDE = 8, 17, 21, 22  # of the belief: thrust that acts now: surge, heave, yaw; and sway: last, as in eso.py
+PASSES_MPS = (
+    0.03  # water of another place also drifts past a robot that rests; without it HOLD in a current is twice as far off
+)
 LEAST_WEIGHT = 1e-6  # of a filter: it comes back within a second when the water turns out to be as it says
 
 
@@ -183,7 +186,8 @@ def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Flo
     """Move the errors of each filter on by `dt`: e = F e, P = F P F' + Q dt."""
     half, moved = bank.work[2], bank.work[3, 0]
     cos, sin = math.cos(belief[3]), math.sin(belief[3])
-    way_m = dt * math.hypot(cos * belief[4] - sin * belief[5] + belief[15], sin * belief[4] + cos * belief[5] + belief[16])
+    ahead, across = cos * belief[4] - sin * belief[5] + belief[15], sin * belief[4] + cos * belief[5] + belief[16]
+    way_m = dt * max(math.hypot(ahead, across), PASSES_MPS)
     for j in range(len(bank.weight)):
         p, mean = bank.covariance[j], bank.mean[j]
         multiply(f, p, half)
