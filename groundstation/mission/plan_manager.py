@@ -99,9 +99,9 @@ class PlanManager:
 
     @property
     def laps(self) -> FlownLaps:
-        """Laps of the path that is flown."""
+        """Laps of the path that is flown; the way home has none."""
         path = self.flown.path
-        lap_s = path.lap_s if isinstance(path, Circle) else None
+        lap_s = path.lap_s if isinstance(path, Circle) and not self.segment.is_return else None
         return FlownLaps(lap_s, self.segment.path_s, self.segment.end_s, self._flights)
 
     def trajectory_for(self, order: CommandKind, robot: int) -> Trajectory | None:
