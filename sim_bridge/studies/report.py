@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import matplotlib as mpl
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
@@ -120,7 +121,8 @@ def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> Ma
             axes.plot(x, interval.value, "o", color=INK, markersize=4)
         axes.set_xticks(places, [line.value for line in lines])
         axes.set(xlabel=key, ylabel=axis_of(measure))
-        axes.set_ylim(bottom=0.0)
+        most = max((value for line in lines for value in line.points[measure]), default=0.0)
+        axes.set_ylim(0.0, 1.08 * most or 1.0)
     return _svg(figure)
 
 
@@ -160,7 +162,8 @@ def _svg(figure: Figure) -> Markup:
         axes.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
     text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
+    with mpl.rc_context({"svg.fonttype": "none"}):  # text stays text, also in what is saved of it
+        figure.savefig(text, format="svg", metadata={"Date": None})
     return Markup(text.getvalue()[text.getvalue().index("<svg") :])  # our own drawing; matplotlib has escaped its texts
 
 

@@ -161,7 +161,7 @@ function Plot({ slot }: { slot: number }) {
   return (
     <figure class="plot">
       <figcaption>
-        <select aria-label={`What plot ${slot + 1} shows`} value={chart.id} onChange={(event) => choose(event.currentTarget.value)}>
+        <select aria-label={`What plot ${slot + 1} shows`} title={chart.title} value={chart.id} onChange={(event) => choose(event.currentTarget.value)}>
           {all.map(({ id, title }) => (
             <option key={id} value={id}>
               {title}
@@ -179,13 +179,14 @@ function Plot({ slot }: { slot: number }) {
         <select
           class="save-as"
           aria-label={`Save plot ${slot + 1}: ${chart.title}`}
+          title="Save this plot"
           value=""
           onChange={(event) => {
             save(event.currentTarget.value);
             event.currentTarget.value = "";
           }}
         >
-          <option value="">Save</option>
+          <option value="">⤓</option>
           {CHOICES.map(([what, text]) => (
             <option key={what} value={what}>
               {text}
