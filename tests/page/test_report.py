@@ -111,7 +111,9 @@ def test_figures_of_a_comparison_are_saved_as_they_are_drawn(browser: Browser, t
         return download.value.path().read_bytes()
 
     drawn = ElementTree.fromstring(saved("svg-1"))
-    numbers = [node.text for node in drawn.iter("{http://www.w3.org/2000/svg}text") if (node.text or "").isdigit()]
+    numbers = [
+        node.text for node in drawn.iter("{http://www.w3.org/2000/svg}text") if node.text is not None and node.text.isdigit()
+    ]
     assert numbers and all(len(number) > 1 or number == "1" for number in numbers), numbers
     dots = [node for node in drawn.iter("{http://www.w3.org/2000/svg}path") if node.get("opacity") == "0.4"]
     assert {dot.get("fill") for dot in dots} == {colour(i).lower() for i in range(len(LAWS.variants))}
