@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_agent.control.any_controller import controller_class
-from robot_agent.control.controller import ControlOutput
+from robot_agent.control.any_controller import make_controller
+from robot_agent.control.controller import ControlOutput, Setting
 from robot_agent.control.live_tuning import LiveTuning, Prepared
 from robot_agent.guidance import driving
 from robot_agent.guidance.driving import Driver
@@ -76,14 +76,16 @@ class Agent:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
-        self.controller = controller_class(experiment.controller)(
-            experiment.vehicle,
-            experiment.controller,
-            experiment.safety,
-            self._me.urgent,
-            has_leader=leader is not None,
-            room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
-            islands=island_obstacles(experiment.islands, experiment.vehicle.radius_m),
+        self.controller = make_controller(
+            Setting(
+                experiment.vehicle,
+                experiment.controller,
+                experiment.safety,
+                self._me.urgent,
+                has_leader=leader is not None,
+                room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
+                islands=island_obstacles(experiment.islands, experiment.vehicle.radius_m),
+            )
         )
         self._ranges_us = experiment.vehicle.ranges_us
         self._driver = Driver(experiment)
@@ -94,7 +96,7 @@ class Agent:
         self._fault = ""
         self._clock = TrajectoryClock(experiment, robot)
         self._selftest: ThrusterSelftest | None = None
-        self._health = HealthMonitor(experiment, self.controller.told_period_s if self.controller.foresees else 0.0)
+        self._health = HealthMonitor(experiment, self.controller.plan_period_s if self.controller.foresees else 0.0)
         self._own_hull = OwnHullFilter(experiment.vehicle.radius_m)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
@@ -344,7 +346,7 @@ class Agent:
 
     def _plan(self, output: ControlOutput, fresh_robots: tuple[int, ...], adrift: bool) -> Plan:
         return Plan(
-            self.controller.told_period_s,
+            self.controller.plan_period_s,
             output.plan_eta,
             output.plan_reference,
             output.tracking_error_m,

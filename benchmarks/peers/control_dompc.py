@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.robot_agent.control_peer import print_rows
-from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
+from robot_agent.control.law_controller import LawController
 from robot_agent.control.mpc import MpcPlan
 from robot_agent.vehicle.dynamics import State
 from shoal.config.experiment import Experiment
@@ -114,9 +114,9 @@ class DoMpc:
         """Do nothing: nothing is kept."""
 
 
-def tamper(controller: AnyController, experiment: Experiment) -> None:
+def tamper(controller: Controller, experiment: Experiment) -> None:
     """do-mpc in the place of the whole optimisation."""
-    assert isinstance(controller, Controller)
+    assert isinstance(controller, LawController)
     controller._law = DoMpc(experiment)
 
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from benchmarks.robot_agent.control_loop import Case, fly
-from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
+from robot_agent.control.law_controller import LawController
 from robot_agent.guidance.formation import HalfSpaces
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
@@ -41,7 +41,7 @@ def case_from_stdin() -> tuple[Case, int]:
     return Case(case["setting"], case["neighbours"], case["beside"], tuple(case["more"])), task["steps"]
 
 
-def print_rows(name: str, tamper: Callable[[AnyController, Experiment], None]) -> None:
+def print_rows(name: str, tamper: Callable[[Controller, Experiment], None]) -> None:
     """Fly, and print the rows as JSON."""
     case, steps = case_from_stdin()
     flown = fly(case, steps, tamper)
@@ -49,12 +49,12 @@ def print_rows(name: str, tamper: Callable[[AnyController, Experiment], None]) -
     print("\n" + json.dumps([asdict(row) for row in flown.rows("control_step", str(case), name)]))
 
 
-def in_place_of_ours(make: MakeSolver) -> Callable[[AnyController, Experiment], None]:
+def in_place_of_ours(make: MakeSolver) -> Callable[[Controller, Experiment], None]:
     """A tamper that solves the controller's quadratic programs with `make`'s solver."""
 
-    def tamper(controller: AnyController, experiment: Experiment) -> None:
+    def tamper(controller: Controller, experiment: Experiment) -> None:
         size = 3 * len(experiment.controller.mpc.blocks)
-        assert isinstance(controller, Controller)
+        assert isinstance(controller, LawController)
         mpc: Any = controller._law
         program, working, solver = mpc._program, mpc._working, make(size, 2 * size)  # without half-spaces and their slack
         first_rows: list[Array | None] = [np.ascontiguousarray(program.a[: 2 * size, :size])]

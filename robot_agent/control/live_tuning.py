@@ -6,7 +6,7 @@ steps, never within one. Pure: time is an argument.
 
 from dataclasses import dataclass
 
-from robot_agent.control.any_controller import AnyController
+from robot_agent.control.controller import Controller
 from shoal.config.controller import ControllerConfig
 from shoal.errors import ConfigError
 from shoal.messages.live_gains import of_message, tuning
@@ -28,7 +28,7 @@ class Adoption:
 class LiveTuning:
     """The controller's present gains, and the set that is prepared."""
 
-    def __init__(self, controller: AnyController, config: ControllerConfig) -> None:
+    def __init__(self, controller: Controller, config: ControllerConfig) -> None:
         self.id = tuning(config).id
         self._controller, self._config = controller, config
         self._ready: tuple[str, ControllerConfig] | None = None

@@ -25,8 +25,8 @@ DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the poo
 class HealthMonitor:
     """Memory of one robot's inputs and outputs from step to step."""
 
-    def __init__(self, experiment: Experiment, told_period_s: float = 0.0) -> None:
-        """`told_period_s`: see `PathWatch`."""
+    def __init__(self, experiment: Experiment, plan_period_s: float = 0.0) -> None:
+        """`plan_period_s`: see `PathWatch`."""
         self._safety, self._markers = experiment.safety, experiment.localizer.markers
         self._period_s = experiment.controller.period_s
         self._battery = BatteryMonitor(experiment.vehicle.battery)
@@ -35,7 +35,7 @@ class HealthMonitor:
         self._gyroscope, self._rate, self._gravity = GyroscopeCheck(), StuckSensorCheck(NOISE_RADPS), GravityCheck()
         self._pressure = StuckSensorCheck(NOISE_M)
         self._uses_gyroscope = experiment.controller.estimator.use_imu_yaw_rate
-        self._allocator, self._watch = make_allocator(experiment.vehicle), PathWatch(experiment, told_period_s)
+        self._allocator, self._watch = make_allocator(experiment.vehicle), PathWatch(experiment, plan_period_s)
         self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
         self._output: ControlOutput | None = None  # of the last control step
         self._mode = Mode.DISARMED

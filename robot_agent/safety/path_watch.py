@@ -81,15 +81,15 @@ class _Step(NamedTuple):
 
 
 class PathWatch:
-    """Watch over one robot. Without `told_period_s`, the period of its plans, it foresees nothing: only leaving the path and
+    """Watch over one robot. Without `plan_period_s`, the period of its plans, it foresees nothing: only leaving the path and
     the guidance state are told."""
 
-    def __init__(self, experiment: Experiment, told_period_s: float = 0.0) -> None:
+    def __init__(self, experiment: Experiment, plan_period_s: float = 0.0) -> None:
         vehicle, self._limit_m = experiment.vehicle, experiment.safety.off_path_m
-        self._row = LOOK_S / told_period_s if told_period_s else 0.0
+        self._row = LOOK_S / plan_period_s if plan_period_s else 0.0
         self._thrust_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
         self._thrust_n, self._fastest_mps = vehicle.limits.wrench[0], vehicle.limits.speed_mps
-        self._told_period_s = told_period_s
+        self._plan_period_s = plan_period_s
         self._deviation = PathDeviationMonitor(self._limit_m)
         self._clears_s = 0.5 * horizon_s(vehicle)  # the time to turn round and stop: until then it still gives way
         self.response = ThrustResponse(vehicle)
@@ -224,8 +224,8 @@ class PathWatch:
     def _overdue(self, step: _Step) -> WatchFinding:
         """A stay that is too long, or an error that grows on the way to the path."""
         output, off_m, current_mps = step.output, step.off_m, abs(step.observation.current)
-        path_mps = math.hypot(*(output.plan_reference[1, :2] - output.plan_reference[0, :2]).tolist()) / self._told_period_s
-        horizon_s = self._told_period_s * (len(output.plan_eta) - 1)
+        path_mps = math.hypot(*(output.plan_reference[1, :2] - output.plan_reference[0, :2]).tolist()) / self._plan_period_s
+        horizon_s = self._plan_period_s * (len(output.plan_eta) - 1)
         spare_mps = max(self._fastest_mps - path_mps - current_mps, SLOWEST * self._fastest_mps)
         self._join_s = max(self._join_s, 2.0 * self._entry_m / spare_mps + 2.0 * horizon_s)
         is_away = off_m > ARRIVED * self._limit_m

@@ -10,7 +10,8 @@ import pytest
 from numba import njit
 from numba.core.event import install_recorder
 
-from robot_agent.control.any_controller import controller_class
+from robot_agent.control.any_controller import make_controller
+from robot_agent.control.controller import Setting
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import obstacles_from_message
 from robot_agent.guidance.reference import Hold
@@ -39,7 +40,7 @@ def test_kernels_pass_their_tests_without_the_compiler() -> None:
 
 def test_nothing_is_compiled_in_flight() -> None:
     """Alone, past a neighbour and a thing in the way, on hold, and in neutral."""
-    one = controller_class(POOL.controller)(POOL.vehicle, POOL.controller, POOL.safety)
+    one = make_controller(Setting(POOL.vehicle, POOL.controller, POOL.safety))
     other = np.tile([1.0, 0.0, 0.3, 0.0], (51, 1))
     box = np.array([[0.7, 0.4], [0.8, 0.4], [0.8, 0.5], [0.7, 0.5]])
     things = obstacles_from_message(

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_agent.control.controller import ControlOutput
+from robot_agent.control.controller import Controller, ControlOutput, Setting
 from robot_agent.control.mpc import bridged_steps
 from robot_agent.control.nonlinear import tuning as tunings
 from robot_agent.control.nonlinear.course import HeadingRule, Turns, make_course, pulled, set_course, set_depth_course
@@ -35,18 +35,14 @@ from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundin
 from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weights, make_memory, step_plan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle, is_inside
-from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate, is_other_goal
-from robot_agent.guidance.velocity_obstacles import GiveWay
-from robot_agent.vehicle.dynamics import Model, flow_moment_nm
+from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, interpolate, is_other_goal
+from robot_agent.vehicle.dynamics import flow_moment_nm
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
-from robot_agent.vehicle.fixed_thrusters import make_allocator
-from robot_agent.vehicle.kalman import make_estimator
-from shoal.config.controller import ControllerConfig, Safety
-from shoal.config.vehicle import Vehicle
+from shoal.config.controller import ControllerConfig
 from shoal.frames import Array
 from shoal.messages.messages import Control, Solve
 
-TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
+REPORT_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
 GAINS_S = 1.0  # time constant of the weights,
 NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a start is no noise, and ends within a second
 GOES_FIRST_S = 2.5  # a robot that goes first still keeps clear of the others for so long: they may be unable to give way
@@ -59,96 +55,70 @@ STEEPEST_RAD = 0.5  # a hull that rights itself is not pitched farther by its th
 DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order's age swings and follows late
 
 
-class NonlinearController:
-    """One robot's controller with its memory and workspaces."""
+class NonlinearController(Controller):
+    """One robot's controller with the nonlinear MPC."""
 
-    foresees = True  # its plan is the motion that the robot flies
+    foresees = True
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        config: ControllerConfig,
-        safety: Safety,
-        urgent: bool = False,
-        has_leader: bool = False,
-        room_m: tuple[float, float] | None = None,
-        islands: tuple[Obstacle, ...] = (),
-    ) -> None:
-        """See `Controller`."""
-        self._vehicle, self._config, self._safety, self._urgent = vehicle, config, safety, urgent
-        self._has_leader, self._islands, self._period_s = has_leader, islands, config.period_s
-        self._model = model = Model(vehicle, config.estimator.sway)
-        self._estimator = make_estimator(vehicle, model, config.estimator)
+    def __init__(self, setting: Setting) -> None:
+        vehicle, config, safety = setting.vehicle, setting.config, setting.safety
         self._dead_s, horizon_s = vehicle.thruster.dead_time_s, tunings.horizon_s(vehicle)
-        self._delay_s = tunings.delay_s(vehicle, config.period_s, model.lag_s)
         self._axes = tunings.planar_axes(vehicle)
         self._grid, self._depth_grid = make_grid(horizon_s, self._axes), make_grid(horizon_s, (0,))
-        self._step_s = tunings.step_s(vehicle)
         nodes_s = self._dead_s + self._grid.time_s  # the instant of action, then the nodes
-        self.sampler = ReferenceSampler(nodes_s)
+        rows = int((horizon_s + self._dead_s) / REPORT_S) + 1
+        super().__init__(setting, nodes_s, REPORT_S * np.arange(rows, dtype=np.float64))
+        self._safety, self._islands = safety, setting.islands
+        self._delay_s = tunings.delay_s(vehicle, config.period_s, self._model.lag_s)
+        self._step_s = tunings.step_s(vehicle)
         # A leader's error is taken whole, others' in part: those may have been put into the water far from their paths.
-        most_m = safety.join_within_m + (0.0 if has_leader else vehicle.limits.speed_mps * horizon_s)
-        self.formation = Formation(safety, nodes_s[1:], config.mpc.q_formation, has_leader, most_m)
-        times_s, agility = np.concatenate([[0.0], nodes_s]), tunings.agility(vehicle)
-        self._give_way = GiveWay(vehicle, times_s, config.period_s, agility, room_m, islands, urgent)
+        most_m = safety.join_within_m + (0.0 if setting.has_leader else vehicle.limits.speed_mps * horizon_s)
+        self.formation = Formation(safety, nodes_s[1:], config.mpc.q_formation, setting.has_leader, most_m)
         self._fastest_mps = tunings.fastest_mps(vehicle)
         self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, self._fastest_mps)
-        self._depth, self._drift = make_memory(1), make_flight(len(self._axes))
+        self._depth, self._drift_flight = make_memory(1), make_flight(len(self._axes))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
         self._limits, self._depth_limits = tunings.planar_limits(vehicle), tunings.depth_limits(vehicle)
         hull_m = vehicle.radius_m + WALL_M
-        self._room_m = np.array([math.inf, math.inf]) if room_m is None else 0.5 * np.array(room_m) - hull_m
+        self._room_m = np.array([math.inf, math.inf]) if setting.room_m is None else 0.5 * np.array(setting.room_m) - hull_m
         self._open_water = Surrounds(NO_BODIES, outlines_of((), 0, 0j), np.array([math.inf, math.inf]))
-        self.allocator = make_allocator(vehicle)
-        told_s = TOLD_S * np.arange(int((horizon_s + self._dead_s) / TOLD_S) + 1)
-        self._told_rows = np.interp(told_s, np.concatenate([[0.0], nodes_s]), np.arange(len(nodes_s) + 1.0))
-        self._still, self._heave = np.zeros(len(vehicle.limits.wrench)), np.eye(len(vehicle.limits.wrench))[1]  # none, and 1 N
-        self._wrench, self._delivered = self._still, self._still  # asked for in the last step, and what its pulses gave
-        self._priority = Priority(urgent, 0.0)
+        self._heave = np.eye(len(self._still))[1]  # 1 N
         self._tuning: tunings.Bandwidths | None = None
         self._place: Array | None = None  # to rest at
         self._shifted = 0  # steps since the last solution
         self._off_m, self._noise_mps = 0.0, 0.0
         self._lift_n = 0.0  # thrust's part upwards of a hull that it pitches: 1 N at full thrust
-        self.goal: Goal | None = None  # of the last step
 
     @property
-    def told_period_s(self) -> float:
-        """Time between two poses of the plan that neighbours get."""
-        return TOLD_S
+    def plan_period_s(self) -> float:
+        return REPORT_S
 
     def adopt_gains(self, config: ControllerConfig) -> None:
-        """Use other gains from the next step on. Estimate and plan are kept."""
         self._config = config
         self._estimator.tune(config.estimator)
         self.formation.set_weight(config.mpc.q_formation)
 
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
-        """Take note of the wrench asked for and delivered that really went out at `now_ns` instead of the last step's. What
-        lifts a pitched hull takes part of its heave: observer and plan know the rest."""
+        """As for every law. What lifts a pitched hull takes part of its heave: observer and plan know the rest."""
         self._wrench, self._delivered = wrench, delivered
         self._estimator.note_wrench(delivered - self._lift_n * self._heave, now_ns)
 
     # --- one step
 
-    def step(
+    def _steer(
         self,
+        goal: Goal,
         measurement: StateMeasurement,
-        goal: Goal | None,
-        neighbours: Sequence[Neighbour],
+        estimate: Observation,
+        predictions: NeighbourPredictions,
+        obstacles: Sequence[Obstacle],
         now_ns: int,
-        obstacles: Sequence[Obstacle] = (),
     ) -> ControlOutput:
-        """Run one control step at `now_ns`; its pulses are assumed to go out at once. See the module's docstring."""
-        estimate = self._estimator.update(measurement, now_ns)
-        if estimate is None or goal is None:
-            return self._neutral(estimate, now_ns)
         if self._model.sway:  # the article's model knows no tilt
             self._lift_n = self._lift(measurement, estimate)
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._wrench, self._axes)
         self._take_up(goal, estimate)
         self._retune(estimate)
-        predictions = self.formation.predict_neighbours(neighbours, now_ns)
         pull = self.formation.pull(predictions, np.ones(4))
         surrounds = self._surrounds(predictions, obstacles, estimate, now_ns)
         if isinstance(goal, Hold):
@@ -157,10 +127,7 @@ class NonlinearController:
         if isinstance(goal, Drive):
             goal = replace(goal, lasts_s=max(goal.lasts_s, DRIVES_ON_S))
         reference = self.sampler.sample(goal if self._place is None else Hold(self._place))
-        lead = reference
-        if isinstance(goal, Follow):
-            keep_m = self.formation.clearances_m(predictions, now_ns)
-            lead = self._give_way.way_around(reference, estimate.eta, predictions, keep_m, obstacles, now_ns)
+        lead = self._lead(goal, reference, estimate, predictions, obstacles, now_ns)
         led = lead
         if pull is not None and isinstance(goal, Follow):
             moved, _ = pull
@@ -229,7 +196,7 @@ class NonlinearController:
         """The pose (4,) where the robot can come to rest."""
         assert self._tuning is not None
         problem = PlanProblem(start, self._course, self._weights(tunings.Manner(0.0, 0.0)), self._limits, surrounds)
-        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._fastest_mps, self._drift)
+        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._fastest_mps, self._drift_flight)
         return np.array([place.real, place.imag, *goal.eta[2:]])
 
     def _weights(self, manner: tunings.Manner) -> Weights:
@@ -283,7 +250,7 @@ class NonlinearController:
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(wrench)
         wrench_step = wrench - self._wrench
         self.note_command(wrench, delivered, now_ns)
-        plan_eta, told_reference = self._told(estimate, lead)
+        plan_eta, plan_reference = self._reported_plan(estimate, lead)
         error_m = float(np.linalg.norm(reference.eta[0, :3] - estimate.eta[:3]))
         self._priority = Priority(self._urgent, error_m)
         command = lead.eta[0].copy()
@@ -303,7 +270,7 @@ class NonlinearController:
                 slack_m=iteration.entry_m,
             ),
             plan_eta=plan_eta,
-            plan_reference=told_reference,
+            plan_reference=plan_reference,
             tracking_error_m=error_m,
             is_free=lead is reference and not iteration.binds,
             path_is_blocked=self._give_way.path_is_blocked,
@@ -325,38 +292,30 @@ class NonlinearController:
         change = np.clip(share * (wanted - self._wrench), -most, most)
         return np.clip(self._wrench + change, -np.array(limits.wrench), limits.wrench)
 
-    def _told(self, estimate: Observation, lead: Reference) -> tuple[Array, Array]:
+    def _reported_plan(self, estimate: Observation, lead: Reference) -> tuple[Array, Array]:
         """The plan that is flown, from now on, and where it is meant to be; the reference has the plan's heading."""
-        poses = self._told_poses(estimate, self._planner.flight.state, self._depth.flight.state[:, 0])
-        reference = interpolate(lead.eta, self._told_rows)
+        poses = self._reported_poses(estimate, self._planner.flight.state, self._depth.flight.state[:, 0])
+        reference = interpolate(lead.eta, self._reported_rows)
         reference[:, 3] = poses[:, 3]
         return poses, reference
 
-    def _told_poses(self, estimate: Observation, state: Array, depth_m: Array | float) -> Array:
-        """Poses now, at the instant of action, and of a flight (nodes, 9) with its depths, at the instants that are told."""
+    def _reported_poses(self, estimate: Observation, state: Array, depth_m: Array | float) -> Array:
+        """The plan's poses for neighbours: now, at the instant of action, and of a flight (nodes, 9) with its depths."""
         rows = np.empty((len(state) + 2, 4))
         rows[0], rows[1] = estimate.eta, estimate.action[:4]
         rows[2:, :2], rows[2:, 3], rows[2:, 2] = state[:, :2], state[:, 2], depth_m
-        return interpolate(rows, self._told_rows)
+        return interpolate(rows, self._reported_rows)
 
-    def _neutral(self, estimate: Observation | None, now_ns: int) -> ControlOutput:
-        """Output with thrusters off. The plan is forgotten; neighbours are told where the robot drifts."""
+    def _forget(self) -> None:
         self._planner.forget()
         self._turns.reset()
-        self._give_way.reset()
         self._depth.flight.command[:] = 0.0
-        self.goal, self._place, self._off_m, self._shifted = None, None, 0.0, 0
-        self._lift_n = 0.0
-        self.note_command(self._still, self._still, now_ns)
-        self._priority = Priority(self._urgent, 0.0)
-        drift = self._drift_from(estimate) if estimate is not None else np.zeros((len(self._told_rows), 4))
-        return ControlOutput(self.allocator.neutral_us, estimate, None, drift, drift)
+        self._place, self._off_m, self._shifted, self._lift_n = None, 0.0, 0, 0.0
 
-    def _drift_from(self, estimate: Observation) -> Array:
-        """Poses of a robot without thrust, as they are told."""
+    def _drift(self, estimate: Observation) -> Array:
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._still, self._axes)
-        fly(dynamics, self._grid, start, self._drift)
-        return self._told_poses(estimate, self._drift.state, estimate.eta.item(2))
+        fly(dynamics, self._grid, start, self._drift_flight)
+        return self._reported_poses(estimate, self._drift_flight.state, estimate.eta.item(2))
 
 
 def clear_place(pose: Array, surrounds: Surrounds, margin_m: float) -> Array:

@@ -40,6 +40,7 @@ from shoal.messages.messages import (
     CameraHealth,
     Command,
     CommandKind,
+    FaultRequest,
     LocalizerStatus,
     Mode,
     Outcome,
@@ -110,7 +111,10 @@ def test_a_radio_breaks_only_where_the_simulator_owns_time(tmp_path: Path) -> No
         assert eventually(lambda: "sim-bridge" in station.bus.present)
         refusal, number = station.request(CommandKind.FAULT, text="radio 1 dead")
         assert "without --real-time" in refusal and number == 0
-        assert station.request(CommandKind.FAULT, text="thruster 1/3 dead")[0] == ""
+        asked_for = Bus(MemoryTransport(hub)).inbox(topics.FAULT, FaultRequest)
+        assert station.request(CommandKind.FAULT, text="thruster 1/3 dead for 5")[0] == ""
+        received = asked_for.newest()
+        assert received is not None and (received.message.what, received.message.for_s) == ("thruster 1/3 dead", 5.0)
         station.clock = LockstepClock()
         assert station.request(CommandKind.FAULT, text="radio 1 dead")[0] == ""
 

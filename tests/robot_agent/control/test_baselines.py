@@ -17,8 +17,9 @@ from robot_agent.control.baselines.fuzzy import PEAKS, verdict
 from robot_agent.control.baselines.pid import Pid
 from robot_agent.control.baselines.sliding_mode import SlidingMode
 from robot_agent.control.baselines.tracking_errors import Axes, TrackingErrors, tracking_errors
-from robot_agent.control.controller import Controller, ControlOutput
+from robot_agent.control.controller import ControlOutput, Setting
 from robot_agent.control.law import Law, make_law
+from robot_agent.control.law_controller import LawController
 from robot_agent.guidance.formation import NOWHERE, Neighbour
 from robot_agent.guidance.reference import Follow, Goal, Hold
 from robot_agent.vehicle.dynamics import Model
@@ -283,8 +284,8 @@ def test_water_that_streams_is_another_frame_and_nothing_else(name: str) -> None
     np.testing.assert_allclose(streaming.eta, still.eta + drift, atol=1e-6)
 
 
-def controller(name: str) -> Controller:
-    return Controller(VEHICLE, POOL.controller.model_copy(update={"law": name}), POOL.safety)
+def controller(name: str) -> LawController:
+    return LawController(Setting(VEHICLE, POOL.controller.model_copy(update={"law": name}), POOL.safety))
 
 
 @pytest.mark.parametrize("name", FEEDBACK)

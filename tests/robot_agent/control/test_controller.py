@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.control.controller import Controller, ControlOutput
+from robot_agent.control.controller import ControlOutput, Setting
+from robot_agent.control.law_controller import LawController
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow, Goal
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
@@ -36,9 +37,9 @@ from tests.shoal.strategies import same
 pytestmark = pytest.mark.long
 
 
-def controller(*settings_: str) -> Controller:
+def controller(*settings_: str) -> LawController:
     experiment = load_experiment("pool", ["controller.law=eso-mpc-article", *settings_]) if settings_ else POOL
-    return Controller(VEHICLE, experiment.controller, experiment.safety)
+    return LawController(Setting(VEHICLE, experiment.controller, experiment.safety))
 
 
 class Pool:
@@ -50,7 +51,7 @@ class Pool:
         offsets = np.array([robot.start_offset for robot in experiment.robots])
         self.state = self.plant.start(np.array([p.eta[0] for p in self.paths]) + offsets)
         self.past = [self.state.eta]
-        self.controllers = [Controller(VEHICLE, experiment.controller, experiment.safety) for _ in self.paths]
+        self.controllers = [LawController(Setting(VEHICLE, experiment.controller, experiment.safety)) for _ in self.paths]
         self.plans: list[Plan | None] = [None] * len(self.paths)
         self.k = 0
 
@@ -201,7 +202,7 @@ def test_gains_are_adopted_beside_another_robot_too() -> None:
     near = np.tile([1.1, 0.0, 0.3, 0.0], (51, 1))
     flown = []
     for adopts in (False, True):
-        one = Controller(POOL.vehicle, config, POOL.safety)
+        one = LawController(Setting(POOL.vehicle, config, POOL.safety))
         for k in range(1, 12):
             if adopts and k == 11:
                 one.adopt_gains(config)

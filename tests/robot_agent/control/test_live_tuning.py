@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from robot_agent.control.any_controller import controller_class
+from robot_agent.control.any_controller import make_controller
+from robot_agent.control.controller import Setting
 from robot_agent.control.live_tuning import LiveTuning
 from shoal.config.controller import ControllerConfig
 from shoal.config.experiment import load_experiment
@@ -30,7 +31,7 @@ def adopt(factor: float, start_in_s: float = 0.0) -> Command:
 
 @pytest.fixture
 def gains() -> LiveTuning:
-    return LiveTuning(controller_class(POOL.controller)(POOL.vehicle, POOL.controller, POOL.safety), POOL.controller)
+    return LiveTuning(make_controller(Setting(POOL.vehicle, POOL.controller, POOL.safety)), POOL.controller)
 
 
 def give(gains: LiveTuning, command: Command) -> str:

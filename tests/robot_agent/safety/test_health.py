@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_agent.control.any_controller import controller_class
-from robot_agent.control.controller import ControlOutput
+from robot_agent.control.any_controller import make_controller
+from robot_agent.control.controller import ControlOutput, Setting
 from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
 from robot_agent.safety.sensor_checks import LEVEL_MPS2
@@ -24,7 +24,7 @@ BOARD = Telemetry(
 )  # fmt: skip
 STATION = StationView(7, NOW_NS, 0.03)
 WELL = Inputs(StampedPose(POSE, NOW_NS - 40 * MS), BOARD, STATION)
-CONTROLLER = controller_class(POOL.controller)(POOL.vehicle, POOL.controller, POOL.safety)
+CONTROLLER = make_controller(Setting(POOL.vehicle, POOL.controller, POOL.safety))
 OUTPUT = CONTROLLER.step(StateMeasurement(), None, (), NOW_NS)
 
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.control.controller import ControlOutput
-from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController, clear_place
+from robot_agent.control.controller import ControlOutput, Setting
+from robot_agent.control.nonlinear.nonlinear_controller import REPORT_S, NonlinearController, clear_place
 from robot_agent.control.nonlinear.obstacle_rows import NO_BODIES, Surrounds, outlines_of
 from robot_agent.guidance.driving import Driver
 from robot_agent.guidance.formation import Neighbour
@@ -49,7 +49,8 @@ class Swimmer:
     def __init__(
         self, pose: Sequence[float], surge_mps: float = 0.0, current: complex = 0j, vehicle: Vehicle = VEHICLE, **more: Any
     ) -> None:
-        self.controller, axes = NonlinearController(vehicle, NMPC.controller, NMPC.safety, **more), len(vehicle.limits.wrench)
+        self.controller = NonlinearController(Setting(vehicle, NMPC.controller, NMPC.safety, **more))
+        axes = len(vehicle.limits.wrench)
         self.vehicle, self.model, self.current, self.k = vehicle, Model(vehicle), current, 0
         self.state = (*pose, surge_mps, 0.0, 0.0, 0.0, *[0.0] * axes)
         self.wrenches = [np.zeros(axes)] * (DEAD_STEPS + 1)
@@ -160,7 +161,7 @@ def test_the_plan_that_is_told_is_the_one_that_is_flown() -> None:
     """A start with a turn: after two seconds the robot is where it has told that it would be."""
     robot = Swimmer((0.7, 0.1, 0.3, 0.0))
     plans = [robot.step(Follow(GOAL.trajectory, 0.05 * k)).plan_eta for k in range(160)]
-    ahead = round(2.0 / TOLD_S)
+    ahead = round(2.0 / REPORT_S)
     errors = [np.hypot(*(plans[k][ahead, :2] - robot.places[k + 40])) for k in range(20, 120)]
     assert max(errors) < 0.05 and np.median(errors) < 0.015
     assert np.allclose(plans[30][0, :2], robot.places[30], atol=0.01)
@@ -178,7 +179,7 @@ def test_a_robot_in_the_way_is_kept_at_its_distance() -> None:
     robot, near = Swimmer((0.625, 0.0, 0.3, math.pi / 2)), []
     stay = np.tile([0.0, 0.62, 0.3, 0.0], (40, 1))  # the circle leads to within 0.4 m of it
     for k in range(500):
-        other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, stay, stay), True)
+        other = Neighbour(2, k * STEP_NS, Plan(REPORT_S, stay, stay), True)
         robot.step(Follow(GOAL.trajectory, 0.05 * k), [other])
         near.append(np.hypot(robot.places[-1, 0], robot.places[-1, 1] - 0.62))
     assert min(near) > 0.6
@@ -190,7 +191,7 @@ def test_the_formation_moves_the_course_by_its_share() -> None:
         robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2), has_leader=has_leader)
         path = np.tile([3.0, 3.0, 0.3, 0.0], (40, 1))
         for k in range(300):
-            other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, path + np.array([0.0, 0.1, 0.0, 0.0]), path), True, True, True)
+            other = Neighbour(2, k * STEP_NS, Plan(REPORT_S, path + np.array([0.0, 0.1, 0.0, 0.0]), path), True, True, True)
             robot.step(Follow(GOAL.trajectory, 0.0, 0.0), [other])
         assert robot.places[-1, 1] == pytest.approx(0.1 * share, abs=0.006)
 
@@ -201,7 +202,7 @@ def test_a_plan_that_says_its_robot_is_far_off_takes_no_other_far_along(has_lead
     robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2), room_m=(6.0, 4.0), has_leader=has_leader)
     path = np.tile([-2.5, -1.5, 0.3, 0.0], (40, 1))
     for k in range(160):
-        other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, path + np.array([100.0, 0.0, 0.0, 0.0]), path), True, True, True)
+        other = Neighbour(2, k * STEP_NS, Plan(REPORT_S, path + np.array([100.0, 0.0, 0.0, 0.0]), path), True, True, True)
         output = robot.step(Follow(GOAL.trajectory, 0.05 * k), [other])
         assert output.solve is Solve.SOLVED
         assert math.dist(robot.state[:2], required(output.control).eta_reference[:2]) < 1.25
@@ -216,7 +217,7 @@ def test_a_robot_among_others_that_are_too_near_still_finds_a_plan(robots: int) 
         robot = Swimmer((0.0, 0.0, 0.3, 0.0))
         for k in range(40):
             others = [
-                Neighbour(2 + i, k * STEP_NS, Plan(TOLD_S, eta, eta, heard=(1,)), True, False, True)
+                Neighbour(2 + i, k * STEP_NS, Plan(REPORT_S, eta, eta, heard=(1,)), True, False, True)
                 for i, eta in enumerate(stay)
             ]
             assert robot.step(goal or Follow(GOAL.trajectory, 0.05 * k), others).solve is Solve.SOLVED
@@ -230,7 +231,8 @@ def test_a_robot_in_a_crowd_still_finds_a_plan_where_the_active_set_runs_out_of_
     robot = Swimmer((0.0, 0.0, 0.3, random.uniform(-3, 3)))
     for k in range(29):
         others = [
-            Neighbour(2 + i, k * STEP_NS, Plan(TOLD_S, eta, eta, heard=(1,)), True, False, True) for i, eta in enumerate(stay)
+            Neighbour(2 + i, k * STEP_NS, Plan(REPORT_S, eta, eta, heard=(1,)), True, False, True)
+            for i, eta in enumerate(stay)
         ]
         assert robot.step(Follow(GOAL.trajectory, 0.05 * k), others).solve is Solve.SOLVED
 
@@ -253,12 +255,12 @@ def test_a_column_that_holds_rests_where_it_stops(gaps_m: tuple[float, ...]) -> 
     robot, eta, velocity = Swimmer((0.0, 0.0, 0.3, 0.0), surge_mps=0.2), np.zeros((600, 4)), np.zeros((600, 4))
     eta[:, 0], eta[:, 2], velocity[:, 0] = 0.05 * 0.2 * np.arange(600), 0.3, 0.2
     path = Trajectory("ahead", 0.05, eta, velocity, np.zeros((600, 4)))
-    at_s, hold, places = TOLD_S * np.arange(36), Hold(np.array([1.2, 0.0, 0.3, 0.0])), []
+    at_s, hold, places = REPORT_S * np.arange(36), Hold(np.array([1.2, 0.0, 0.3, 0.0])), []
     for k in range(300):
         others, along = [], 0.2 * (0.05 * k + at_s) if k <= 120 else np.full(36, 1.42)
         for i, gap_m in enumerate(gaps_m):
             plan = np.column_stack([along + gap_m, 0.0 * at_s, 0.3 + 0.0 * at_s, 0.0 * at_s])
-            others.append(Neighbour(2 + i, k * STEP_NS, Plan(TOLD_S, plan, plan, heard=(1,)), True, False, True))
+            others.append(Neighbour(2 + i, k * STEP_NS, Plan(REPORT_S, plan, plan, heard=(1,)), True, False, True))
         output = robot.step(hold if k >= 120 else Follow(path, 0.05 * k), others)
         if k >= 120:
             places.append(complex(*required(output.control).eta_reference[:2]))
@@ -289,7 +291,7 @@ def test_gains_change_in_flight_without_a_leap() -> None:
 @given(st.lists(st.tuples(measurements, goals, neighbours, st.integers(0, 3)), min_size=1, max_size=12))
 def test_no_input_makes_it_put_out_nonsense(rows: list[tuple[StateMeasurement, Goal | None, list[Neighbour], int]]) -> None:
     """NaN, gaps, duplicates, reordering, plans of other sizes: finite, within limits, neutral when not solved."""
-    one, k = NonlinearController(VEHICLE, NMPC.controller, POOL.safety), 0
+    one, k = NonlinearController(Setting(VEHICLE, NMPC.controller, POOL.safety)), 0
     for measurement, goal, others, gap in rows:
         k += gap
         check(one.step(measurement, goal, others, k * STEP_NS))
