@@ -47,7 +47,7 @@ def missed(check: Check) -> str:
     where = f" ({check.where})" if check.where else ""
     limit = "at least" if check.at_least else "at most"
     value, allowed = with_unit(check.value, check.unit), with_unit(check.limit, check.unit)
-    if value == allowed and check.value is not None:
+    if check.failed and value == allowed and check.value is not None:
         value += f" ({with_unit(abs(check.value - check.limit), check.unit)} beyond)"
     return f"{title(check)}{where}: {value}, {limit} {allowed}"
 
