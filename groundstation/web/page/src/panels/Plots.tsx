@@ -64,7 +64,7 @@ function dashOf(s: Scene, curve: Chart["curves"][number]): { dash?: number[] } {
 }
 
 function range(chart: Chart, low: number | null, high: number | null): [number, number] {
-  if (low === null || high === null) return chart.both ? [-1, 1] : [0, 1];
+  if (low === null || high === null || (low === 0 && high === 0)) return chart.both ? [-1, 1] : [0, 1];
   const [from, to] = chart.both || chart.id === "disturbance" || chart.id === "battery" ? [low, high] : [0, high];
   const room = 0.08 * Math.max(to - from, chart.id === "battery" ? 0.2 : 1e-3 + 0.2 * Math.abs(to));
   return [from === 0 && low >= 0 ? 0 : from - room, to + room];
