@@ -135,7 +135,8 @@
       for (const part of (target.getAttribute("d") ?? "").split(/(?=M)/).filter((d) => d.trim())) {
         const one = document.createElementNS("http://www.w3.org/2000/svg", "path");
         one.setAttribute("d", part);
-        const long = one.getTotalLength(), steps = Math.min(Math.max(Math.ceil(long / 1.5), 1), 4000);
+        const long = one.getTotalLength(), least = /[acqs]/i.test(part) ? 24 : 1; // a small dot is round, too
+        const steps = Math.min(Math.max(Math.ceil(long / 1.5), least), 4000);
         const points = Array.from({ length: steps + 1 }, (_, k) => place(moved, one.getPointAtLength((long * k) / steps)));
         const dashes = own("stroke-dasharray");
         const dash = (dashes === "none" ? "" : dashes).split(/[ ,]+/).map(parseFloat).filter((d) => d > 0).map((d) => d * by);
