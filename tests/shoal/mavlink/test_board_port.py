@@ -4,6 +4,7 @@ import errno
 import itertools
 import os
 import pty
+import re
 import signal
 import socket
 import termios
@@ -12,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink
-from shoal.mavlink.board_address import Address, parse_link
+from shoal.mavlink.board_address import BOARD_BAUD, DEFAULT_LINK, Address, parse_link
 from shoal.mavlink.board_port import READ_DATAGRAMS, SETTLE_S, SerialLink, UdpLink, open_link
 
 FRAME = AgentLink(1).heartbeat()
@@ -218,6 +220,31 @@ def test_a_board_that_is_pulled_out_while_its_port_is_being_opened_is_just_not_t
         link.close()
 
 
+def test_a_board_that_is_pulled_out_while_a_rate_is_being_tried_is_just_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller, device = pty.openpty()
+    link = open_link(f"serial:{os.ttyname(device)}:57600")
+    os.close(device)
+    pulled = list[int]()
+
+    def pulled_and_flushed(port: serial.Serial) -> None:
+        os.close(controller)
+        pulled.append(controller)
+        termios.tcflush(port.fileno(), termios.TCIFLUSH)
+
+    monkeypatch.setattr(serial.Serial, "reset_input_buffer", pulled_and_flushed)
+    time.sleep(SETTLE_S)
+    try:
+        deadline = time.monotonic() + 10.0
+        while not pulled and time.monotonic() < deadline:
+            os.write(controller, b"no frame")
+            link.wait(0.05)
+            link.read()
+        assert pulled and link.trouble
+        assert link.read() == b""
+    finally:
+        link.close()
+
+
 def test_a_wrong_address_is_explained() -> None:
     for address in ("udp:127.0.0.1", "udp:host:99999", "tcp:1.2.3.4:5", "", "serial:"):
         with pytest.raises(ConfigError, match=r"allowed: udp:HOST:PORT or serial:DEVICE"):
@@ -275,3 +302,12 @@ def test_a_flood_of_datagrams_does_not_hold_up_a_read() -> None:
             assert len(link.read()) == next(flood) == READ_DATAGRAMS
         finally:
             link.close()
+
+
+def test_firmware_manual_and_links_have_one_baud_rate() -> None:
+    root = Path(__file__).parents[3]
+    built = re.findall(r"^BAUD \?= (\d+)", (root / "firmware" / "Makefile").read_text(), re.M)
+    pages = [root / "README.md", root / "firmware" / "README.md", *(root / "docs").glob("*.md")]
+    named = [rate for page in pages for rate in re.findall(r"serial:/dev/\S+?:(\d+)\b", page.read_text())]
+    assert len(named) > 5
+    assert {*built, *named} == {str(BOARD_BAUD)} == {str(parse_link(DEFAULT_LINK).number)}
