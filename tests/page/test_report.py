@@ -12,7 +12,7 @@ from groundstation.palette import colour
 from groundstation.report.compare_report import write as write_comparison
 from groundstation.report.report import write_report
 from shoal.messages.messages import Mode
-from tests.groundstation.report.test_controller_comparison import comparison, variant
+from tests.groundstation.report.comparisons import comparison, variant
 from tests.groundstation.synthetic import Script, write_run
 from tests.page.flights import serious
 
@@ -121,7 +121,7 @@ def test_figures_of_a_comparison_are_saved_as_they_are_drawn(browser: Browser, t
     ends = []
     for law in LAWS.variants:
         found = text.search(law.name).get_next()
-        assert found is not None
-        ends.append(text.get_charbox(found[0] + len(law.name) - 1)[2])
+        assert place is not None
+        ends.append(text.get_charbox(place[0] + len(law.name) - 1)[2])
     assert max(ends) - min(ends) < 2.0  # points
     page.close()

@@ -52,6 +52,11 @@ def furthest_off_m(fleet: SimulatedFleet, flown: Experiment, seconds: float) -> 
     return away_m
 
 
+def shown_plan(fleet: SimulatedFleet, form: str, flown: Experiment | None = None) -> PlanSegment:
+    """Plan that a person is shown before the click."""
+    return fleet.mission.plans.draft(form, flown, fleet.fleet, fleet.now_ns, fleet.mission.state)(never)
+
+
 @pytest.fixture
 def fleet() -> SimulatedFleet:
     started = SimulatedFleet(load_experiment("pool"))
@@ -151,7 +156,7 @@ def test_a_draft_of_a_form_is_the_form_that_is_then_flown(fleet: SimulatedFleet,
         fleet.run(2.0)
     assert fleet.mission.state is state
     before = fleet.mission.segment
-    drafted = fleet.mission.plans.draft_form(form, fleet.fleet, fleet.now_ns, state)()
+    drafted = shown_plan(fleet, form)
     assert fleet.mission.segment is before and fleet.mission.plan_request is None
     assert ask(fleet, CommandKind.FORMATION, form) == ""
     while fleet.mission.segment is before:
@@ -199,12 +204,7 @@ def test_a_file_changes_form_into_an_order_of_its_robots() -> None:
         load_experiment("pool", [change.replace("[2,1]", "[2]")])
 
 
-def drawn(fleet: SimulatedFleet, form: str, flown: Experiment | None = None) -> PlanSegment:
-    """What a person is shown before the click."""
-    return fleet.mission.plans.draft(form, flown, fleet.fleet, fleet.now_ns, fleet.mission.state)(never)
-
-
-def test_what_is_shown_before_the_click_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
+def test_a_draft_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
     """At rest and from a hold, of another form and of another path: with the ways into place, and on to its end."""
     flown = with_flight(fleet.core.mission.plans.flown, other())
     for held in (False, True):
@@ -215,7 +215,7 @@ def test_what_is_shown_before_the_click_begins_where_the_robots_are(fleet: Simul
             assert ask(fleet, CommandKind.HOLD) == ""
             until(fleet, MissionState.PAUSED, 10.0)
             fleet.run(3.0)
-        for segment in (drawn(fleet, "column 0.9"), drawn(fleet, "", flown)):
+        for segment in (shown_plan(fleet, "column 0.9"), shown_plan(fleet, "", flown)):
             assert segment.transfer_end_s > segment.centre.begin_s
             begins = {tuple(np.round(t.eta[0, :2], 2)) for t in segment.trajectories.values()}
             assert begins == {tuple(np.round(view.rest[:2], 2)) for view in fleet.fleet.values()}

@@ -300,7 +300,7 @@ def test_a_recording_localized_again_gives_the_same_poses_to_the_bit(recording: 
     assert [row["differing"] for row in other] == [RECORDED - 1] * 2 and other[1]["first_frame"] == 1
 
 
-def test_what_is_no_recording_is_told_what_it_would_be(tmp_path: Path) -> None:
+def test_another_folder_is_refused_with_what_a_recording_is(tmp_path: Path) -> None:
     for name in ("run.mcap", "experiment.toml"):
         (tmp_path / name).touch()
     for folder in (tmp_path, tmp_path / "run.mcap", tmp_path / "nothing"):
