@@ -120,7 +120,7 @@ def test_figures_of_a_comparison_are_saved_as_they_are_drawn(browser: Browser, t
     text = pdfium.PdfDocument(saved("pdf-2"))[0].get_textpage()
     ends = []
     for law in LAWS.variants:
-        found = text.search(law.name).get_next()
+        place = text.search(law.name).get_next()
         assert place is not None
         ends.append(text.get_charbox(place[0] + len(law.name) - 1)[2])
     assert max(ends) - min(ends) < 2.0  # points
