@@ -102,9 +102,9 @@ class PlanManager:
 
     @property
     def laps(self) -> FlownLaps:
-        """Laps of the path that is flown."""
+        """Laps of the path that is flown; the way home has none."""
         path = self.flown.path
-        lap_s = path.lap_s if isinstance(path, Circle) else None
+        lap_s = path.lap_s if isinstance(path, Circle) and not self.segment.is_return else None
         return FlownLaps(lap_s, self.segment.path_s, self.segment.end_s, self._flights)
 
     def trajectory_for(self, order: CommandKind, robot: int) -> Trajectory | None:
@@ -158,7 +158,9 @@ class PlanManager:
         begin_s = self._ahead_s()
         experiment, segment, obstacles = self.flown, self.segment, self.discs_to_avoid(fleet, now_ns)
         self.deadline_s, self.by_operator = begin_s - LAST_CALL_S, bool(via)
-        self.request = PlanRequest("another path", lambda _: replan(experiment, segment, begin_s, obstacles, via))
+        self.request = PlanRequest(
+            "another path", lambda out_of_time: replan(experiment, segment, begin_s, obstacles, via, out_of_time)
+        )
 
     def request_form(self, form: str, fleet: Fleet, now_ns: int) -> None:
         """Request another form from an instant ahead."""

@@ -81,6 +81,23 @@ def test_a_path_that_is_loaded_at_rest_moves_nobody_and_is_what_the_next_start_f
     until(fleet, MissionState.DONE, 40.0)
 
 
+def test_the_way_home_is_in_no_lap() -> None:
+    fleet = SimulatedFleet(load_experiment("pool", ["path.lap_s=20", "path.diameter_m=0.4", "duration_s=200"]))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    fleet.run(50.0)
+    assert ask(fleet, CommandKind.RETURN) == ""
+    until(fleet, MissionState.RETURNING, 20.0)
+    flown_s = {lap.number: lap.time_s for lap in fleet.core.laps.laps() if lap.number}
+    reason, _ = fleet.core.request_gains({"controller.nmpc.turning_m": 0.2}, True, fleet.fleet, fleet.now_ns)
+    assert reason == "this path has no laps"
+    until(fleet, MissionState.DONE, 60.0)
+    after_s = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
+    assert after_s.pop(0) > 5.0
+    assert after_s == flown_s and sorted(after_s) == [1, 2, 3]
+
+
 def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: SimulatedFleet) -> None:
     assert ask(fleet, CommandKind.START) == ""
     until(fleet, MissionState.RUNNING, 10.0)
