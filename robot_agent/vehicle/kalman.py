@@ -85,10 +85,9 @@ BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
 GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
 DRAG_LOG, MASS_LOG = 0.3, 0.3  # standard deviations of ln drag and ln mass at first, from the vehicle file's,
-ALIKE = (
-    0.8  # and their correlation: a larger hull has more of both. With 0.4 and 0.5 NEES is 1 to 3 where the file is wrong by
-)
-# half, instead of 3 to 20, but a current is taken for a stronger one, and guidance is softer: 24 mm instead of 9 (mixed, 0)
+ALIKE = 0.8  # and their correlation: a larger hull has more of both
+# With 0.4, 0.4 and 0.5 NEES is 1 to 3 where the file is wrong by half, instead of 3 to 20; but a current is taken for a
+# stronger one, and guidance is softer: 24 mm instead of 9 (mixed, 0).
 MOST_FORCE = 2.0  # times the thrusters' largest acceleration: against more no robot holds its place, whatever its mass is
 MOST_LOG = 1.0  # of drag, thrust, moment, yaw drag per mass: e times the vehicle file's
 AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
