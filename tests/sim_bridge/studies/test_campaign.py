@@ -35,6 +35,7 @@ from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
 from sim_bridge.studies.dependence import dependence, dependences, lines, reasons
 from sim_bridge.studies.statistics import distribution, quantile, rate
+from tests.forked import ended
 from tests.planted import installed
 from tests.waiting import eventually
 
@@ -186,7 +187,7 @@ def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
     row = rows(flown)[1]
     program, *arguments = shlex.split(row["command"])
     assert program == "sim-bridge"
-    subprocess.run([sys.executable, "-m", "sim_bridge", *arguments, "--out", str(tmp_path)], capture_output=True, check=False)
+    ended(program, *arguments, "--out", str(tmp_path))
     (folder,) = tmp_path.iterdir()
     result = json.loads((folder / "result.json").read_text())
     per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
@@ -201,8 +202,8 @@ def test_a_campaign_with_the_camera_says_what_the_reports_of_its_flights_say(tmp
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
     assert row["status"] == "flown" and row["off_track"] == row["at_fault"] == 0.0 and row["reason"] == ""
-    words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
-    assert subprocess.run(words, capture_output=True, check=False).returncode == (0 if row["passed"] else 1)
+    code, _, _ = ended(*shlex.split(row["command"]), "--out", str(tmp_path / "runs"))
+    assert code == (0 if row["passed"] else 1)
     (folder,) = (tmp_path / "runs").iterdir()
     result = json.loads((folder / "result.json").read_text())
     per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
@@ -312,8 +313,8 @@ def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: s
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
     assert (row["status"], row["passed"]) == ("flown", False) and reason in row["reason"].split("; ")
-    words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
-    assert subprocess.run(words, capture_output=True, check=False).returncode == 1
+    code, _, _ = ended(*shlex.split(row["command"]), "--out", str(tmp_path / "runs"))
+    assert code == 1
 
 
 def test_a_robot_that_refuses_is_a_refusal_with_its_reason_and_leaves_no_folder(tmp_path: Path) -> None:
