@@ -3,7 +3,7 @@
     code, output, errors = ended("groundstation", "log", "repair", "run.mcap")
 
     with Programs(failing_disk(tmp_path)) as programs:
-        command = programs.run(["groundstation", "log", "repair", "run.mcap"], folder, disk=DiskFault("kill", 7))
+        command = programs.run(["groundstation", "log", "repair", "run.mcap"], folder, "kill", 7)
 
 A fresh interpreter takes seconds of computing to load a program, a fork some hundredths; the rest is as when a person starts
 it. What is tested about a program's start itself is started as a person does.

@@ -15,7 +15,6 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 import tomli_w
-from distributed import LocalCluster
 from rich.console import Console
 from scipy import stats
 from typer.testing import CliRunner
@@ -468,6 +467,8 @@ def test_only_a_few_of_a_million_flights_are_prepared_at_a_time(tmp_path: Path, 
 
 @pytest.mark.slow
 def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
+    from distributed import LocalCluster  # takes 0.5 s of every process that collects this file
+
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
         assert fly(campaign(seeds=1), tmp_path / "c", scheduler=cluster.scheduler_address) == 0
     results, expected = rows(tmp_path / "c"), rows(flown)[:2]
