@@ -41,7 +41,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "messages": {"config", "errors", "frames"},
         "bus": {"config", "errors", "messages", "system"},
         "runtime": {"bus", "config", "errors", "messages", "system"},
-        "mavlink": {"errors", "runtime", "system"},
+        "mavlink": {"errors", "messages", "runtime", "system"},
     },
     "localizer": {
         "kernels": set(),

@@ -236,8 +236,9 @@ def _shape_wrenches(values: dict[str, Any], names: tuple[str, ...], rows: int | 
             values[name] = values[name].reshape(rows, fitting[0])
 
 
-def _to_protobuf(message: Any, target: Any) -> Any:
-    for name, _, is_message, _ in _fields(cast(Any, type(message))):
+def _to_protobuf(message: Any, cls: Any, target: Any) -> Any:
+    """Fill in the protobuf message `target` with the fields of message class `cls`: those that a subclass adds stay here."""
+    for name, _, nested, _ in _fields(cls):
         value = getattr(message, name)
         kind = type(value)
         if kind is float or kind is int:
@@ -252,10 +253,10 @@ def _to_protobuf(message: Any, target: Any) -> Any:
             getattr(target, name).extend([_cut(text, LONGEST_TEXT) for text in value] if texts else value)
         elif value is None:
             pass  # absent
-        elif not is_message:
+        elif nested is None:
             setattr(target, name, value)
         else:
-            _to_protobuf(value, getattr(target, name))
+            _to_protobuf(value, nested, getattr(target, name))
     return target
 
 
@@ -405,7 +406,7 @@ def encode(message: Message, stamp_ns: int = 0) -> bytes:
     """The wire form of a message. `stamp_ns` goes into schemas that carry a time of their own."""
     if type(message) in _FOXGLOVE:
         return _FOXGLOVE[type(message)][1](message, stamp_ns)
-    encoded: bytes = _to_protobuf(message, protobuf_class(type(message))()).SerializeToString()
+    encoded: bytes = _to_protobuf(message, type(message), protobuf_class(type(message))()).SerializeToString()
     return encoded
 
 
