@@ -125,10 +125,10 @@ def confirm_zero(
 
     Example:  sudo robot-agent confirm-zero
     """
-    from robot_agent.host.zero_request import ask_program, tell_board
+    from robot_agent.host.zero_request import ask_program, only_request, tell_board
 
     where = folder or state_folder() or SERVICE_FOLDER
-    with os_errors_as_config_errors(where / FILE):
+    with os_errors_as_config_errors(where / FILE), only_request(where):
         if not ask_program(where, in_air):
             telemetry = tell_board(load_agent_config(config), in_air)
             if read_record(where) is not None:

@@ -273,11 +273,14 @@ class AgentNode:
             self.mavlink.set_zero(zero_m)
         if self.clock.waits:
             return self.mavlink.telemetry
-        request = self._parameters.step(self.mavlink, now_ns * 1e-9)
-        request += self._zero_requests.step(self.mavlink)
-        if request and self.agent.mode not in LIVE:
+        request, has_power = self._parameters.step(self.mavlink, now_ns * 1e-9), self.agent.mode in LIVE
+        request += self._zero_requests.step(self.mavlink, has_power)
+        if request and not has_power:
             self.link.send(request)
-        return replace(self.mavlink.telemetry, objection=self._parameters.objection)
+        objection = self._parameters.objection
+        if not objection and not self.mavlink.telemetry.echo_us:
+            objection = "the thruster board does not report its outputs: a thruster that turns by itself would go unnoticed"
+        return replace(self.mavlink.telemetry, objection=objection)
 
     def _trusted_pose(self) -> Received[Pose] | None:
         """The newest pose. While two programs publish poses by turns it is the last one before: it grows old, and the robot

@@ -26,6 +26,7 @@ class WorldBoard(Protocol):
 
     sensors: BoardSensors
     burst_ms: int
+    obeys_ns: int | None  # plant time of the order that outputs of the last step obey, if they are known late only
 
     @property
     def pulses(self) -> tuple[int, ...]: ...
@@ -142,7 +143,18 @@ class World(PlantRun):
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
         if self.exposed:  # of a camera faster than the plant's steps, what falls between two of them is left out
             self._frames = int((self.now_ns * 1e-9 + 1e-9) / self._frame_period_s) + 1
-        return [
+        sent = [
             (i, board.step(self.now_ns, state.eta[i], state.nu[i], acceleration[i], supply_v[i], state.tilt[i]))
             for i, board in enumerate(self.boards)
         ]
+        for i, board in enumerate(self.boards):
+            if board.obeys_ns is not None:
+                self._date_back(i, board.obeys_ns)
+        return sent
+
+    def _date_back(self, i: int, ordered_ns: int) -> None:
+        """Let the i-th board's outputs act as if they were known from the step after their order on, as a simulated board's
+        are: what the way to a real board and back took is no part of a robot, whose dead time has not passed yet."""
+        pulses_us = self.faults.pulses(self._pulses())[i]
+        steps = (self.now_ns - ordered_ns) // self._step_ns - 1
+        self._state = self._plant.with_past_pulses(self._state, i, pulses_us, max(steps, 0))

@@ -1,12 +1,14 @@
-"""A control loop to time: robots side by side on circles, the controller's own model as their water, noisy poses 40 ms old.
+"""A control loop to time: robots side by side on circles, the controller's own model with its dead time as their water, noisy
+poses 40 ms old that report their noise.
 
 Peers run this too, in environments of their own, with another solver in the controller's place: so every figure is of one
 complete control step (estimate, linearise, assemble, update, solve, allocate), closed loop, on the same scene.
 """
 
 import gc
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,10 +25,13 @@ from shoal.frames import Array, wrap
 from shoal.messages.messages import Plan, Solve, Trajectory, required
 
 STEP_NS, STEP_S = 50_000_000, 0.05
-WARM_UP = 60  # steps, 3 s: from rest to speed
+WARM_UP = 200  # steps, 10 s: from rest to its path
+BEYOND_S = 15.0  # of the path after the flight: longer than a horizon
 RADIUS_M, SPEED_MPS, DEPTH_M = 0.5, 0.1, 0.3
 APART_M, TOO_NEAR_M = 1.2, 0.58  # 2R is 0.6
+POSE_AGE_S = 0.04
 NOISE = (0.0015, 0.0015, 0.009, 0.002, 0.003)  # x, y, yaw, depth, yaw rate: what localizer and board have
+DISTURBANCE = (0.01, 0.0, 0.0, 0.0)  # m/s^2, a force of the robot: unlike thrusters
 
 SETTINGS = {"default": (), "article's": ("controller.law=eso-mpc-article",)}
 
@@ -81,6 +86,29 @@ class Flown:
         ]
 
 
+class Water:
+    """A robot in the water: its true state, and the commands that do not act yet."""
+
+    def __init__(self, model: Model, state: State, dead_steps: int) -> None:
+        self._model, self.state = model, state
+        self._past_state = state  # POSE_AGE_S ago
+        self._commands = [[0.0, 0.0, 0.0]] * dead_steps
+
+    def advance(self, wrench: list[float]) -> None:
+        """Go on for one control step, at whose beginning `wrench` is sent."""
+        self._commands.append(wrench)
+        acting = self._commands.pop(0)
+        self._past_state = self._model.advance(self.state, DISTURBANCE, acting, STEP_S - POSE_AGE_S)
+        self.state = self._model.advance(self.state, DISTURBANCE, acting, STEP_S)
+
+    def measurement(self, now_ns: int, noise: Array) -> StateMeasurement:
+        """Pose of POSE_AGE_S ago, depth and yaw rate of now."""
+        x, y, _, yaw, *_ = self._past_state
+        x, y, yaw, depth, yaw_rate = (np.array([x, y, yaw, self.state[2], self.state[7]]) + noise).tolist()
+        stamp_ns = now_ns - round(POSE_AGE_S * 1e9)
+        return StateMeasurement(PoseMeasurement(stamp_ns, x, y, wrap(yaw), NOISE[0] ** 2, NOISE[2] ** 2), depth, yaw_rate)
+
+
 def places(count: int, beside: bool) -> list[tuple[float, float]]:
     """Circle centres: the first robot in the middle, others in rings around it."""
     distance = TOO_NEAR_M if beside else APART_M
@@ -94,7 +122,7 @@ def places(count: int, beside: bool) -> list[tuple[float, float]]:
 def circle(centre: tuple[float, float], seconds: float) -> Trajectory:
     """Once or more around a centre."""
     rate = SPEED_MPS / RADIUS_M
-    t = np.arange(0.0, seconds + 5.0, STEP_S)
+    t = np.arange(0.0, seconds, STEP_S)
     c, s, zero = np.cos(rate * t), np.sin(rate * t), np.zeros_like(t)
     eta = np.stack([centre[0] + RADIUS_M * c, centre[1] + RADIUS_M * s, zero + DEPTH_M, rate * t + np.pi / 2], axis=1)
     velocity = np.stack([-SPEED_MPS * s, SPEED_MPS * c, zero, zero + rate], axis=1)
@@ -108,11 +136,12 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
     experiment = case.experiment()
     vehicle, count = experiment.vehicle, case.neighbours + 1
     model = Model(vehicle, experiment.controller.estimator.sway, experiment.controller.law == "nmpc")
-    paths = [circle(place, steps * STEP_S) for place in places(count, case.beside)]
+    dead_steps = round(vehicle.thruster.dead_time_s / STEP_S)
+    paths = [circle(place, (WARM_UP + steps) * STEP_S + BEYOND_S) for place in places(count, case.beside)]
     robots = [make_controller(Setting(vehicle, experiment.controller, experiment.safety)) for _ in range(count)]
     if tamper is not None:
         tamper(robots[0], experiment)
-    states: list[State] = [(*map(float, path.eta[0]), *(0.0,) * 7) for path in paths]
+    waters = [Water(model, (*map(float, path.eta[0]), *(0.0,) * 7), dead_steps) for path in paths]
     plans: list[Plan | None] = [None] * count
     random = np.random.default_rng(1)
     took, errors, changes, unsolved = [], [], [], 0
@@ -122,7 +151,7 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
         for k in range(-WARM_UP, steps):
             now_ns, delayed_plans = (k + WARM_UP) * STEP_NS, list(plans)
             for i, robot in enumerate(robots):
-                measurement = _seen(states[i], now_ns, random.normal(size=5) * NOISE)
+                measurement = waters[i].measurement(now_ns, random.normal(size=5) * NOISE)
                 others = [
                     Neighbour(j, now_ns - STEP_NS, p, True, hears_us=True)
                     for j, p in enumerate(delayed_plans)
@@ -133,27 +162,11 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
                 output = robot.step(measurement, goal, others, now_ns)
                 if i == 0 and k >= 0:
                     took.append((clock() - begin_ns) * 1e-3)
-                    errors.append(float(np.hypot(*(np.array(states[0][:2]) - paths[0].eta[k + WARM_UP, :2]))))
+                    errors.append(math.dist(waters[0].state[:2], paths[0].eta[k + WARM_UP, :2]))
                     changes.append(required(output.control).wrench_step / experiment.wrench_step)
                     unsolved += output.solve is not Solve.SOLVED
                 plans[i] = Plan(robot.plan_period_s, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
-                states[i] = model.advance(
-                    states[i], (0.01, 0.0, 0.0, 0.0), required(output.control).wrench_delivered.tolist(), STEP_S
-                )
+                waters[i].advance(required(output.control).wrench_delivered.tolist())
     finally:
         gc.enable()
     return Flown(took, errors, np.array(changes), unsolved)
-
-
-def _seen(state: State, now_ns: int, noise: Sequence[float] | Array) -> StateMeasurement:
-    """As if it had taken 40 ms; the robot is where it was then to a millimetre or two, which counts as noise here."""
-    x, y, z, yaw = state[:4]
-    age_s = 0.04
-    back_x, back_y = (
-        (np.cos(yaw) * state[4] - np.sin(yaw) * state[5]) * age_s,
-        (np.sin(yaw) * state[4] + np.cos(yaw) * state[5]) * age_s,
-    )
-    sighting = PoseMeasurement(
-        now_ns - round(age_s * 1e9), x - back_x + noise[0], y - back_y + noise[1], wrap(yaw - state[7] * age_s + noise[2])
-    )
-    return StateMeasurement(sighting, z + noise[3], state[7] + noise[4])

@@ -28,6 +28,7 @@ from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure
 from shoal.system.printable import printable
 
 P = ParamSpec("P")
+LONGEST_WAIT_S = 86_400.0
 
 Station = Annotated[
     str | None,
@@ -43,7 +44,7 @@ Wait = Annotated[
     typer.Option(
         "--wait",
         min=0.0,
-        max=86_400.0,
+        max=LONGEST_WAIT_S,
         metavar="SECONDS",
         help="How long to wait for the outcome; 0: only until the station has taken the request.",
         show_default=False,

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from groundstation.cli.mission import HELP, Station, Wait
+from groundstation.cli.mission import HELP, LONGEST_WAIT_S, Station, Wait
 from groundstation.station import discovery
 from groundstation.station.discovery import RunningStation
 from shoal.bus.endpoint import parse_address
@@ -29,14 +29,15 @@ NAME = "stop"
 COMPLAINTS = "complaints"  # where the command's context keeps what it could not use
 GROUPS = ("mission", "order")  # before it, by habit
 LATE_S = 10.0  # beyond the patience: for a connection that hangs
+HEARD_WITHIN_S = 3.0  # for a station that was named to answer; then those of this machine are stopped too
 OnlyFleet = Annotated[
     str | None, typer.Option("--fleet", help="Only stations of this fleet. Default: every fleet.", show_default=False)
 ]
 
 
 def _seconds(text: str) -> None:
-    if not 0.0 <= float(text) < float("inf"):
-        raise ValueError("must be 0 or more seconds")
+    if not 0.0 <= float(text) <= LONGEST_WAIT_S:
+        raise ValueError(f"must be 0 to {LONGEST_WAIT_S:g} seconds")
 
 
 CHECKS: dict[str, Callable[[str], Any]] = {
@@ -101,12 +102,19 @@ class StationStop:
     reply: Reply | None = None
     trouble: str = "no answer"  # where there is no reply
     complaints: list[str] = field(default_factory=list)
+    heard: bool = False  # the station has answered
     _thread: threading.Thread | None = None
+    _settled: threading.Event = field(default_factory=threading.Event)  # it is heard, or never will be
 
     def begin(self) -> None:
         """Send it. Returns at once."""
         self._thread = threading.Thread(target=self._send, name="stop", daemon=True)
         self._thread.start()
+
+    def await_answer(self) -> bool:
+        """Wait for the station's first answer. Returns whether there was one within HEARD_WITHIN_S."""
+        self._settled.wait(HEARD_WITHIN_S)
+        return self.heard
 
     def await_end(self) -> None:
         """Wait for the outcome, or the end of the patience."""
@@ -122,6 +130,8 @@ class StationStop:
                 self.reply = self._follow(None, True)
         except Exception as error:  # whatever it is: the other stations are stopped all the same
             self.trouble = str(error) or type(error).__name__
+        finally:
+            self._settled.set()
 
     def _follow(self, keys: Path | None, insecure: bool) -> Reply:
         from groundstation import client
@@ -130,8 +140,16 @@ class StationStop:
         fleet = self.station.fleet or DEFAULT_FLEET
         with client.connect_for_requests(self.station, fleet, keys, insecure, patience_s) as bus:
             until_s = time.monotonic() + self.patience_s
-            request = Command(CommandKind.STOP, WHOLE_FLEET)
-            return client.follow(client.sender(bus), request, lambda: time.monotonic() >= until_s, lambda outcome: None)
+            request, send = Command(CommandKind.STOP, WHOLE_FLEET), client.sender(bus)
+
+            def ask(command: Command) -> Reply:
+                reply = send(command)
+                if not reply.silent:
+                    self.heard = True
+                    self._settled.set()
+                return reply
+
+            return client.follow(ask, request, lambda: time.monotonic() >= until_s, lambda outcome: None)
 
     def outcome(self) -> tuple[bool, str]:
         """True if every robot has confirmed, and the outcome in words."""
@@ -206,9 +224,8 @@ def _send_to_all(
     if station is not None:
         named = discovery.named(station)
         send([named if named.pid else replace(named, fleet=fleet or "")])
-        stops[0].await_end()
-        others = [one for one in here if one.endpoint != station]
-        if stops[0].reply is None and others:
+        others = [one for one in here if one.endpoint != named.endpoint]
+        if others and not stops[0].await_answer():
             complaints.append(f"--station {station}: nobody answers there; every station of this machine was stopped")
             send(others)
         return

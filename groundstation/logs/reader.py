@@ -12,7 +12,7 @@ import os
 import re
 import struct
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from pathlib import Path
@@ -198,6 +198,8 @@ class LogFile:
         except Damaged as error:
             if not self._cut:
                 raise ConfigError(f"{path}: cannot be read: {error}") from None
+        for place in places if self._cut else ():
+            self._look_through(place)
         with_messages = [place for place in places if place.channels]
         if not with_messages and not self._cut:  # a file without an index of its messages
             with_messages = places
@@ -208,8 +210,8 @@ class LogFile:
         self.end_ns = max(place.end_ns for place in self._places)
 
     def _index(self, places: list[_Place]) -> None:
-        """Find the places of all chunks, and fill `_channels`. A closed file repeats its channels behind its chunks; of a cut
-        one the chunks are looked through. Raises Damaged."""
+        """Find the places of all chunks, and fill `_channels` with what stands outside of them: a closed file repeats its
+        channels behind its chunks. Raises Damaged."""
         file_bytes = self._file.seek(0, os.SEEK_END)
         allowed, at, opcode = Allowance(file_bytes), len(MAGIC), 0
         while opcode != FOOTER:
@@ -222,19 +224,23 @@ class LogFile:
                 start_ns, end_ns, size = _CHUNK_HEAD.unpack(head)
                 allowed.take(size, at)
                 place = _Place(start_ns, end_ns, at, length)
-                for part, body in self._parts(place) if self._cut else ():
-                    if part == CHANNEL:
-                        self._channels.take(_parse(CHANNEL, body))
-                    elif part == MESSAGE and (number := _message(body).channel_id) in self._channels:
-                        place.channels.add(number)
                 places += [place] if size else []
-            elif opcode == MESSAGE_INDEX and places and length >= 2:
+            elif opcode == MESSAGE_INDEX and places and length >= 2 and not self._cut:
                 places[-1].channels.add(int.from_bytes(self._file.read(2), "little"))
             elif opcode == CHANNEL:
                 self._channels.take(_parse(CHANNEL, self._file.read(length)))
             elif opcode == MESSAGE:
                 raise Damaged(f"byte {at}: a message outside a chunk, which our recorder does not write")
             at += 9 + length
+
+    def _look_through(self, place: _Place) -> None:
+        """Note the channels that a chunk declares, and those of its messages, up to where it is damaged."""
+        with suppress(Damaged):
+            for part, body in self._parts(place):
+                if part == CHANNEL:
+                    self._channels.take(_parse(CHANNEL, body))
+                elif part == MESSAGE and (number := _message(body).channel_id) in self._channels:
+                    place.channels.add(number)
 
     def _parts(self, place: _Place) -> Iterator[tuple[int, bytes]]:
         """The records of a chunk. Raises Damaged."""

@@ -28,6 +28,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, cast
 
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Schema
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
@@ -146,8 +148,9 @@ class Recorder:
         self._gatherer: threading.Thread | None = None
         self._schemas: dict[type, int] = {}
         self._channels: dict[tuple[str, int], int] = {}
+        self._declarations: Any = RecordBuilder()  # since the last flush; Any: mcap is typed in part
         self._output = _Output(path)
-        self._writer: Any = Writer(cast(IO[bytes], self._output), chunk_size=CHUNK_BYTES)  # Any: mcap is typed in part
+        self._writer: Any = Writer(cast(IO[bytes], self._output), chunk_size=CHUNK_BYTES)
         self._writer.start(library="shoal")
         now_ns = time.time_ns()
         self._writer.add_attachment(now_ns, now_ns, EXPERIMENT_NAME, "application/toml", experiment_toml.encode())
@@ -271,16 +274,23 @@ class Recorder:
     def _channel(self, topic: Topic, key: str, session: int) -> int:
         cls = protobuf_class(topic.type)
         if cls not in self._schemas:
-            files = build_file_descriptor_set(cls).SerializeToString()
-            self._schemas[cls] = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
+            name, files = cls.DESCRIPTOR.full_name, build_file_descriptor_set(cls).SerializeToString()
+            self._schemas[cls] = self._writer.register_schema(name, "protobuf", files)
+            Schema(self._schemas[cls], files, "protobuf", name).write(self._declarations)
         if (key, session) not in self._channels:
-            self._channels[key, session] = self._writer.register_channel(
-                key, "protobuf", self._schemas[cls], {"session": f"{session:x}", "publisher": topic.publisher}
-            )
+            schema, metadata = self._schemas[cls], {"session": f"{session:x}", "publisher": topic.publisher}
+            self._channels[key, session] = self._writer.register_channel(key, "protobuf", schema, metadata)
+            Channel(
+                self._channels[key, session], topic=key, message_encoding="protobuf", metadata=metadata, schema_id=schema
+            ).write(self._declarations)
         return self._channels[key, session]
 
     def _flush(self) -> None:
+        """Write out what there is. The writer puts a channel's declaration into the chunk of its first message alone: it is
+        repeated behind that chunk, for the chunk may be damaged, and the end, which repeats it too, be cut off."""
         self._writer.flush()
+        self._output.write(self._declarations.end())
+        self._output.flush()
         self._output.sync()
 
     def _fail(self, reason: str) -> None:

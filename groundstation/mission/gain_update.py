@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from groundstation.mission.command_dispatcher import CommandResult, RetryTimer
+from groundstation.mission.lap_statistics import FlownLaps
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import Fleet
 from shoal.config.controller import ControllerConfig
 from shoal.config.experiment import Experiment
-from shoal.config.scene import Circle
 from shoal.errors import ConfigError
 from shoal.messages.live_gains import tuned, tuning
 from shoal.messages.messages import Command, CommandKind, Mode, RobotState, Tuning
@@ -76,8 +76,6 @@ class GainUpdater:
         self._since_ns = 0
         self._timer = RetryTimer()
         self._unlogged = [self._flown]
-        path = experiment.path
-        self.lap_s = path.lap_s if isinstance(path, Circle) else None
 
     def status(self) -> GainStatus:
         """Gains in use, stage of the change, reason of the last failure."""
@@ -92,10 +90,15 @@ class GainUpdater:
     # --- requests of the operator; each returns the reason of a refusal, or nothing
 
     def request(
-        self, values: Mapping[str, float], next_lap: bool, fleet: Fleet, now_ns: int, flying: Mapping[int, RobotState]
+        self,
+        values: Mapping[str, float],
+        fleet: Fleet,
+        now_ns: int,
+        flying: Mapping[int, RobotState],
+        next_lap_of: FlownLaps | None = None,
     ) -> str:
-        """Change these gains (key: value), keep the others. `fleet`: the robots of the formation; `flying`: states of those
-        that fly its trajectories."""
+        """Change these gains (key: value), keep the others: at once, or with the next lap of a path. `fleet`: the robots of
+        the formation; `flying`: states of those that fly its trajectories."""
         if self._stage is not GainStage.IDLE:
             return f"another change is under way: {self._stage.value}"
         try:
@@ -104,9 +107,9 @@ class GainUpdater:
             return str(error)
         if tuning(config).id == self._flown.id:
             return "this is what is flown already"
-        if not next_lap:
+        if next_lap_of is None:
             return self._begin(config, fleet, now_ns)
-        start_s, reason = self._next_lap_s(fleet, flying)
+        start_s, reason = _next_lap_s(next_lap_of, fleet, flying)
         return reason or self._begin(config, fleet, now_ns, start_s)
 
     def undo(self, fleet: Fleet, now_ns: int) -> str:
@@ -116,17 +119,6 @@ class GainUpdater:
         if self._stage is not GainStage.IDLE:
             return f"another change is under way: {self._stage.value}"
         return self._begin(self._before[-1], fleet, now_ns) if self._before else "there is nothing to undo"
-
-    def _next_lap_s(self, fleet: Fleet, flying: Mapping[int, RobotState]) -> tuple[float, str]:
-        """Progress in s at which the next lap begins, and the reason if there is none."""
-        if self.lap_s is None:
-            return 0.0, "this path has no laps"
-        if not flying or set(flying) != set(fleet):
-            return 0.0, "there is no next lap: not every robot is on its trajectory"
-        progress_s = max(state.trajectory_s for state in flying.values())
-        start_s = (progress_s + START_IN_S) // self.lap_s * self.lap_s + self.lap_s
-        ends = start_s >= self._experiment.duration_s
-        return start_s, "there is no next lap: the run ends with this one" if ends else ""
 
     def _begin(self, config: ControllerConfig, fleet: Fleet, now_ns: int, trajectory_s: float = 0.0) -> str:
         silent = [str(robot) for robot, view in fleet.items() if not view.heard]
@@ -261,3 +253,13 @@ def _is_about(result: CommandResult, change: _Change) -> bool:
 def _flies_with(fleet: Fleet, robot: int, change: _Change) -> bool:
     state = fleet[robot].state
     return state is not None and state.tuning_id == change.message.id
+
+
+def _next_lap_s(laps: FlownLaps, fleet: Fleet, flying: Mapping[int, RobotState]) -> tuple[float, str]:
+    """Progress in s at which the next lap begins, and the reason if there is none."""
+    if laps.lap_s is None:
+        return 0.0, "this path has no laps"
+    if not flying or set(flying) != set(fleet):
+        return 0.0, "there is no next lap: not every robot is on its trajectory"
+    start_s = laps.next_s(max(state.trajectory_s for state in flying.values()) + START_IN_S)
+    return start_s, "there is no next lap: the run ends with this one" if start_s >= laps.end_s else ""

@@ -11,6 +11,24 @@ BACK_S = 5.0  # after a hold a robot goes on a little further back, with the slo
 
 
 @dataclass(frozen=True)
+class FlownLaps:
+    """The laps of the path that is flown, on the clock that runs along the trajectories."""
+
+    lap_s: float | None  # None: the path has none
+    path_s: float = 0.0  # beginning of the first
+    end_s: float = math.inf  # of the path
+    flight: int = 0  # another path has another number
+
+    def number(self, clock_s: float) -> int:
+        """Number of the lap, from 1; robots on their way into place are before it. 0 on a path that has none."""
+        return max(math.floor((clock_s - self.path_s) / self.lap_s), 0) + 1 if self.lap_s else 0
+
+    def next_s(self, clock_s: float) -> float:
+        """Beginning of the next lap of a path that has some."""
+        return self.path_s + self.number(clock_s) * (self.lap_s or 0.0)
+
+
+@dataclass(frozen=True)
 class Lap:
     """One lap, or the part of it that was flown with one set of gains; all robots together."""
 
@@ -40,15 +58,18 @@ class _Row:
 class LapStatistics:
     """Collects tracking errors from the robots' states."""
 
-    def __init__(self, lap_s: float | None) -> None:
-        self._lap_s = lap_s
+    def __init__(self) -> None:
+        self._flight = 0
         self._last_s: dict[int, float] = {}
         self._flew: frozenset[int] = frozenset()  # robots that flew in the cycle before
         self._rows: dict[tuple[int, str], _Row] = {}  # by lap and set of gains
 
-    def update(self, flying: Mapping[int, RobotState]) -> None:
+    def update(self, flying: Mapping[int, RobotState], laps: FlownLaps) -> None:
         """Take in the newest states of the robots that fly with the formation. A trajectory that begins again starts another
-        run."""
+        table; so does another path."""
+        if laps.flight != self._flight:
+            self._flight = laps.flight
+            self._rows.clear()
         for robot, state in flying.items():
             last_s = self._last_s.get(robot, state.trajectory_s)
             if state.trajectory_s < last_s - BACK_S:
@@ -64,7 +85,7 @@ class LapStatistics:
             if robot not in self._flew:  # it was led elsewhere or held: what the others flew meanwhile is not its own
                 step_s = min(step_s, 0.0)
             self._last_s[robot] = state.trajectory_s
-            key = (int(state.trajectory_s // self._lap_s) + 1 if self._lap_s else 0, state.tuning_id)
+            key = (laps.number(state.trajectory_s), state.tuning_id)
             self._rows.setdefault(key, _Row()).add(robot, step_s, error_m)
         self._flew = frozenset(flying)
         while len(self._rows) > KEPT:

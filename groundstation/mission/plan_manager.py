@@ -8,6 +8,7 @@ that start flies. Planning takes time: `request` is the plan to be computed.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
+from groundstation.mission.lap_statistics import FlownLaps
 from groundstation.mission.obstacle_monitor import ObstacleMonitor
 from groundstation.mission.roster import Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
@@ -19,7 +20,7 @@ from groundstation.planning.segment import PlanSegment, ceil_to_period, first_co
 from groundstation.planning.shift import in_form, reshape
 from groundstation.telemetry import Fleet, RobotView
 from shoal.config.experiment import Experiment
-from shoal.config.scene import read_form
+from shoal.config.scene import Circle, read_form
 from shoal.frames import Array
 from shoal.messages.messages import CommandKind, Trajectory
 
@@ -69,7 +70,7 @@ class PlanManager:
         self.by_operator = False  # the other path was requested by the operator
         self.monitor = ObstacleMonitor(experiment)
         self._first, self._roster = first, roster
-        self._flight = FlownPath(experiment, first)
+        self._flight, self._flights = FlownPath(experiment, first), 0
         self._purpose: Callable[[Fleet, float], Callable[[OutOfTime], PlanSegment]] | None = None  # of coming to rest
         self._coming: FlownPath | None = None  # that begins then
 
@@ -93,7 +94,15 @@ class PlanManager:
 
     def _take(self, flight: FlownPath, first: PlanSegment, starts: Mapping[int, Array]) -> None:
         self._flight, self._first, self.starts = flight, first, dict(starts)
+        self._flights += 1
         self.flown = self.monitor.flown = flight.experiment
+
+    @property
+    def laps(self) -> FlownLaps:
+        """Laps of the path that is flown."""
+        path = self.flown.path
+        lap_s = path.lap_s if isinstance(path, Circle) else None
+        return FlownLaps(lap_s, self.segment.path_s, self.segment.end_s, self._flights)
 
     def trajectory_for(self, order: CommandKind, robot: int) -> Trajectory | None:
         """Trajectory that a command to a robot is about; None if it has no part in the segment."""

@@ -32,8 +32,8 @@ COURSE = frozenset(
 class StationCore:
     """The station without its network: decisions of one run."""
 
-    def __init__(self, experiment: Experiment, mission: Mission, tuner: GainUpdater, laps: LapStatistics) -> None:
-        self.mission, self.tuner, self.laps = mission, tuner, laps
+    def __init__(self, experiment: Experiment, mission: Mission, tuner: GainUpdater) -> None:
+        self.mission, self.tuner, self.laps = mission, tuner, LapStatistics()
         self.single = SingleRobotControl(experiment, mission)
         self.requests = RequestTracker(experiment.robot_ids)
         self.ended = False  # the run is over: every robot that is heard is at rest, or the program was interrupted
@@ -52,7 +52,7 @@ class StationCore:
         commands = self.mission.step(fleet, for_mission, now_ns, obstacles)
         commands += self.single.step(fleet, for_one, now_ns)
         commands += self.tuner.step(fleet, for_tuner, now_ns)
-        self.laps.update(self.mission.flying(fleet))
+        self.laps.update(self.mission.flying(fleet), self.mission.plans.laps)
         return commands
 
     def view(self, robot: int, view: RobotView, now_ns: int) -> RobotView:
@@ -139,7 +139,8 @@ class StationCore:
         if values is None:
             reason = self.tuner.undo(formation, now_ns)
         else:
-            reason = self.tuner.request(values, next_lap, formation, now_ns, self.mission.flying(formation))
+            laps = self.mission.plans.laps if next_lap else None
+            reason = self.tuner.request(values, formation, now_ns, self.mission.flying(formation), laps)
         return reason, 0 if reason else self.requests.begin(CommandKind.TUNE, self.mission, self.tuner.status().wanted)
 
     def _end(self, fleet: Fleet, now_ns: int) -> str:

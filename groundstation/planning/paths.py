@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from shoal.config.scene import Circle, Waypoints
 from shoal.frames import Array, wrap_angle
 
+MOST_POINTS = 20_000  # of a path that is made dense, every 0.25 m: more than the longest run flies. A spline takes 3 s
 PIECES = 64  # per span between waypoints: Gauss-Legendre then gives arc length to 1e-12 m on paths of tens of metres
 SLOWEST = 0.05  # of |f'| over chord length, which is about 1: below it the curve all but reverses, and has no heading there
 CONVERGED = 1e-13  # of the chord parameter, in m

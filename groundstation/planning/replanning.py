@@ -48,20 +48,33 @@ def replan(
     experiment = with_forms(experiment, segment)
     if via and not can_replan(experiment):
         raise PlanError("only a level path of waypoints or a route, common to all robots, can be changed under way")
-    routed, reason = bool(via) or (can_replan(experiment) and not _laps(experiment.path)), PlanError("")
+
+    def rerouted(clear_m: float) -> PlanSegment:
+        """The shortest way to the places."""
+        try:
+            return _rerouted(_with_things(experiment, obstacles, clear_m), segment, begin_s, via)
+        except PlanError as error:
+            raise PlanError(_obstacles_named(str(error), experiment, obstacles)) from None
+
+    def past(clear_m: float) -> PlanSegment:
+        """The same path, with the formation aside where an obstacle lies."""
+        return move_past(experiment, segment, begin_s, obstacles, clear_m)
+
+    path, reasons = experiment.path, list[PlanError]()
+    if via:
+        ways = [rerouted]
+    elif not can_replan(experiment) or _laps(path):
+        ways = [past]
+    else:
+        straight = isinstance(path, Waypoints) and path.corner != "smooth"  # a route has other corners than its own
+        ways = [past, rerouted] if straight else [rerouted, past]
     for share in TIGHTER:
-        clear_m = share * experiment.mission.detour_clear_m
-        if routed:
+        for way in ways:
             try:
-                return _rerouted(_with_things(experiment, obstacles, clear_m), segment, begin_s, via)
+                return way(share * experiment.mission.detour_clear_m)
             except PlanError as error:
-                reason = PlanError(_obstacles_named(str(error), experiment, obstacles))
-        if not via:
-            try:
-                return move_past(experiment, segment, begin_s, obstacles, clear_m)
-            except PlanError as error:
-                reason = reason if routed else error
-    raise reason
+                reasons.append(error)
+    raise reasons[-len(ways)]
 
 
 def _laps(path: PathSpec) -> bool:
@@ -117,7 +130,7 @@ def _rerouted(
     end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
     around = _gone_over(experiment, segment, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
-    return replace(around, via=tuple(given_via) or segment.via, forms=segment.forms)
+    return replace(around, via=tuple(given_via) or segment.via, forms=segment.forms, path_s=segment.path_s)
 
 
 def _gone_over(

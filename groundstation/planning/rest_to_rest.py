@@ -71,7 +71,8 @@ def plan_regroup(
     centre = planner.trajectory(_then_on(segment.centre, None, still, turn, progress_s, left), period_s, begin_s)
     end_s = begin_s + (still + turn) * period_s + (segment.end_s - progress_s) + 0.5 * RAMP_S
     on_s = begin_s + (still + turn) * period_s
-    return PlanSegment(moved, centre, end_s, segment.is_return, segment.via, segment.forms, on_s)
+    path_s = segment.path_s + on_s + 0.5 * RAMP_S - progress_s
+    return PlanSegment(moved, centre, end_s, segment.is_return, segment.via, segment.forms, on_s, path_s)
 
 
 def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], away: Array) -> float:

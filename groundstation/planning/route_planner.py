@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from groundstation.planning.formation import SlotOffset
-from groundstation.planning.paths import curve_through
+from groundstation.planning.paths import MOST_POINTS, curve_through
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Route, Waypoints
 from shoal.frames import Array
@@ -189,6 +189,8 @@ def _smoothed(line: Array, smooth_m: float) -> Array:
     arc, line = arc[keep], line[keep]
     if len(arc) < 2:
         raise NoRoute(f"it leads nowhere: all its places are ({line[0, 0]:.2f}, {line[0, 1]:.2f}) m")
+    if arc[-1] > SPACING_M * MOST_POINTS:
+        raise NoRoute(f"it is {arc[-1]:.0f} m long (allowed: {SPACING_M * MOST_POINTS:.0f} m)")
     places = np.linspace(0.0, arc[-1], max(2, math.ceil(arc[-1] / SPACING_M) + 1))
     points = np.column_stack([np.interp(places, arc, line[:, 0]), np.interp(places, arc, line[:, 1])])
     n = len(points) - 1

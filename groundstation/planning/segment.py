@@ -34,6 +34,7 @@ class PlanSegment:
     via: tuple[tuple[float, float], ...] = ()  # places that the operator gave instead of the path's
     forms: tuple[Change, ...] = ()  # that the operator gave, besides the experiment's changes
     transfer_end_s: float = 0.0  # until then robots fly separate transfers into their slots; the centre stands
+    path_s: float = 0.0  # at which the path began, or would have without the times at rest and in transfers
 
     def is_separate(self, progress_s: float) -> bool:
         """True if robots fly separate transfers at `progress_s`, not in formation."""

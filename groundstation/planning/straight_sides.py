@@ -6,7 +6,7 @@ path = make_path(experiment.path)     # of any kind; groundstation/planning/path
 import numpy as np
 
 from groundstation.planning.formation import quintic_blend
-from groundstation.planning.paths import CirclePath, Path, PathState, SplinePath
+from groundstation.planning.paths import MOST_POINTS, CirclePath, Path, PathState, SplinePath
 from groundstation.planning.transfer import RAMP_S, ramp
 from shoal.config.scene import Circle, Waypoints
 from shoal.frames import Array, wrap_angle
@@ -35,6 +35,12 @@ def _rounded(path: Waypoints) -> Waypoints:
     sides = np.diff(points, axis=0)
     lengths = np.hypot(*sides.T)
     ahead = sides / lengths[:, None]
+    count = float(np.sum(lengths / SIDE_POINTS_M + BEND_POINTS))
+    if count > MOST_POINTS:
+        raise ValueError(
+            f"path.points_m: {len(lengths)} sides of {lengths.sum():.0f} m in all are too many or too long for round corners "
+            f"(allowed: {SIDE_POINTS_M * MOST_POINTS:.0f} m, to which each corner adds {SIDE_POINTS_M * BEND_POINTS:g} m)"
+        )
     x = np.linspace(-1.0, 1.0, BEND_POINTS)[:, None]
     turned = (1.0 + x) ** 2 / 4.0 - (1.0 + np.cos(np.pi * x)) / (2.0 * np.pi**2)  # integral of the share of the new direction
     dense, middle = [points[:1]], [0]

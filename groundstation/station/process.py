@@ -13,7 +13,6 @@ from typing import NamedTuple
 from groundstation.export.foxglove_live import ViewerServer
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
 from groundstation.mission.gain_update import GainUpdater
-from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission, may_have_power
 from groundstation.mission.request_progress import UNARMED
 from groundstation.mission.state_machine import TERMINAL, MissionState
@@ -100,8 +99,7 @@ def cycles(
         threads = served.enter_context(workers(len(trajectories)))
         mission = Mission(experiment, segment, starts, options.automatic, options.give_up_s)
         inboxes, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
-        laps = LapStatistics(tuner.lap_s)
-        station = Station(experiment, bus, clock, recorder, mission, tuner, laps, inboxes, threads, insecure=options.insecure)
+        station = Station(experiment, bus, clock, recorder, mission, tuner, inboxes, threads, insecure=options.insecure)
         station.views = station.fleet()
         bus.serve(WHOLE_FLEET, station.on_operator_command)
         log_to_bus(bus, clock, "groundstation")

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
-from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import ATTENDED, Mission
 from groundstation.mission.objections import LIVE, objection
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
@@ -94,7 +93,6 @@ class Station:
     recorder: Recorder
     mission: Mission
     tuner: GainUpdater
-    laps: LapStatistics
     inboxes: FleetInboxes
     workers: Workers
     links: dict[int, LinkMonitor] = field(default_factory=dict)
@@ -115,7 +113,7 @@ class Station:
     wake: threading.Event = field(default_factory=threading.Event)  # set by a request that cannot wait for the next cycle
 
     def __post_init__(self) -> None:
-        self.core = StationCore(self.experiment, self.mission, self.tuner, self.laps)
+        self.core = StationCore(self.experiment, self.mission, self.tuner)
         self.single, self.requests = self.core.single, self.core.requests
         self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
         self._status = Status(state=self.mission.state, reason=self.mission.reason)
@@ -369,7 +367,7 @@ class Station:
             recorder_error=self.recorder.error,
             lasting=self._lasting(),
             tuning=self.tuner.status(),
-            laps=self.laps.laps(),
+            laps=self.core.laps.laps(),
             preflight=blocking_findings(self.experiment, self.views, mission.plans.starts),
             views=self.views,
             requests=self.requests.recent,

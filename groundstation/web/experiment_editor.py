@@ -110,7 +110,12 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
 
 def loadable(robots: tuple[int, ...]) -> list[str]:
     """Experiments for just these robots: shipped ones by name, those of the editor as files."""
-    return [name for name, ids in _experiments_with_robots() if sorted(ids) == sorted(robots)]
+    return [
+        name
+        for name, ids in _experiments_with_robots()
+        if len(ids) == len(robots)
+        and all(robot in ids for robot in robots)  # not sorted: in a half-written file ids are anything
+    ]
 
 
 def _experiments_with_robots() -> Iterator[tuple[str, tuple[Any, ...]]]:

@@ -94,7 +94,8 @@ class SetupServer:
 
 
 def _stop_fleet() -> str:
-    """Give the emergency stop to every station of this machine, as `groundstation stop` does; returns what it output."""
+    """Give the emergency stop to every station of this machine, as `groundstation stop` does; returns what became of it at
+    each."""
     with programs.start("groundstation", ["stop"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as stopping:
         try:
             output, _ = stopping.communicate(timeout=STOPS_WITHIN_S)
@@ -102,7 +103,10 @@ def _stop_fleet() -> str:
             stopping.kill()
             return f"emergency stop: no answer within {STOPS_WITHIN_S:g} s"
     lines = output.decode(errors="replace").strip().splitlines()
-    return lines[-1] if lines else f"emergency stop: ended with exit code {stopping.returncode}"
+    stations, outcomes = ([line for line in lines if line.startswith(begin)] for begin in ("station ", "stop: "))
+    if len(outcomes) > 1:  # the last is that of one of them only
+        return "; ".join(f"{name}: {outcome}" for name, outcome in zip(stations, outcomes, strict=False))
+    return (outcomes or lines[-1:] or [f"emergency stop: ended with exit code {stopping.returncode}"])[0]
 
 
 def _refused() -> Response:

@@ -61,7 +61,7 @@ class BoardParameters:
         self._wanted = wanted
         self._compared: tuple[ParameterList, int] | None = None  # what was compared last
         self._changed_s = -math.inf  # when the last value came, or the last request went out
-        self.objection = ""  # the reason not to arm
+        self.objection = _not_known(ParameterList())  # the reason not to arm; nothing is known before the board has spoken
 
     def step(self, link: AgentLink, now_s: float) -> bytes:
         """Take in what has come. Returns the request to send: none while values come, and once all have."""
@@ -78,8 +78,7 @@ class BoardParameters:
 
     def _judge(self, reported: ParameterList) -> str:
         if not reported.is_complete:
-            of = f"{len(reported.values)} of {reported.count}" if reported.count else "none"
-            return f"the thruster board's parameters are not known yet: {of} so far"
+            return _not_known(reported)
         differences = [str(difference) for difference in compare(reported.values, self._wanted) if difference.matters]
         if not differences:
             return ""
@@ -88,3 +87,9 @@ class BoardParameters:
             f"the thruster board's parameters are not the experiment's: {', '.join(differences[:LISTED])}{more} "
             "(robot-agent check lists all, robot-agent params set changes one)"
         )
+
+
+def _not_known(reported: ParameterList) -> str:
+    """The reason not to arm while a list is not complete."""
+    of = f"{len(reported.values)} of {reported.count}" if reported.count else "none"
+    return f"the thruster board's parameters are not known yet: {of} so far"

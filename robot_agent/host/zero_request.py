@@ -1,14 +1,17 @@
 """SHELL: a person's word about the thruster board's depth zero, from `robot-agent confirm-zero` to the board.
 
 The robot's program has the board's port. So the command puts a request into the folder where the service keeps its state; the
-program sends it to the board and takes the file away once the board has acknowledged it. If nobody takes it, the command opens
-the link itself. What a killed command has left counts no more: a request says in which boot of the computer it was made, and
-when, by a clock that nobody sets. A robot's computer often has no other clock after a start.
+program sends it to the board and takes the file away once the board has acknowledged it, or writes into it why it was refused.
+If nobody takes it, the command opens the link itself. One command asks at a time: of two, each would take the end of the
+other's request for the answer to its own. What a killed command has left counts no more: a request says in which boot of the
+computer it was made, and when, by a clock that nobody sets. A robot's computer often has no other clock after a start.
 """
 
+import fcntl
+import os
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,8 +25,10 @@ from shoal.system.regular_files import read_regular
 
 FILE = "zero-request"
 KEPT, AIR = "kept", "air"  # what is kept is right; the robot is in air, take the zero anew
-MOST_BYTES = 100
+REFUSED = "refused "  # begins the answer to a request that was refused; the reason follows
+MOST_BYTES = 200
 LOOK_S = 0.5  # of the robot's program at the folder; and how often the board is told again
+ANSWERED = ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED))  # as far as the board can carry it out
 WITHIN_S = 4.0  # for the robot's program, and for the board, beyond what it needs before it speaks
 
 
@@ -36,8 +41,9 @@ class ZeroRequests:
         self._before = 0  # acknowledgements of the board when it was first told; meaningful while a request is open
         self._open = ""
 
-    def step(self, link: AgentLink) -> bytes:
-        """Frame for the board, empty if there is none to send now. Ends a request that the board has acknowledged."""
+    def step(self, link: AgentLink, has_power: bool = False) -> bytes:
+        """Frame for the board, empty if there is none to send now. Ends a request that the board has acknowledged, and refuses
+        one that it has refused or that comes at a wrong time: `has_power`, the robot may move."""
         now_s, board = self._now_s(), link.telemetry
         if self._folder is None or now_s - self._looked_s < LOOK_S:
             return b""
@@ -45,27 +51,54 @@ class ZeroRequests:
         request = self._read()
         if not request or request != self._open:
             self._open, self._before = request, board.acknowledgements
-        elif board.acknowledgements > self._before and board.acknowledged in ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED)):
+        elif board.acknowledgements > self._before and board.acknowledged in ANSWERED:
             link.set_zero(0.0)  # of a board that does not report its restarts
             self._end()
             return b""
-        return link.calibrate(pressure=request == AIR) if request else b""
+        if not request:
+            return b""
+        refusal = "the robot has power: disarm it first" if has_power else self._refusal(board)
+        if refusal:
+            self._refuse(refusal)
+            return b""
+        return link.calibrate(pressure=request.startswith(AIR)) if board.is_thruster_board else b""
+
+    def _refusal(self, board: Telemetry) -> str:
+        """The reason why the board does not carry out the open request; empty if there is none."""
+        if board.autopilot_name:
+            return f"{board.autopilot_name} is on the link, no thruster board"
+        return refusal_of(board) if board.acknowledgements > self._before else ""
 
     def _read(self) -> str:
-        """The request in the folder; empty if there is none, or its command has ended."""
+        """The request in the folder, all of its text; empty if there is none, or its command has ended."""
         assert self._folder is not None
         try:
-            request, boot, at_s = read_regular(self._folder / FILE, MOST_BYTES).decode("ascii", "replace").split()
+            text = read_regular(self._folder / FILE, MOST_BYTES).decode("ascii", "replace")
+            request, boot, at_s = text.split()
             age_s = boot_time_s() - float(at_s)
         except (OSError, ValueError):
             return ""
-        return request if request in (KEPT, AIR) and boot == _this_boot() and 0.0 <= age_s <= 2.0 * WITHIN_S else ""
+        return text if request in (KEPT, AIR) and boot == _this_boot() and 0.0 <= age_s <= 2.0 * WITHIN_S else ""
 
     def _end(self) -> None:
         assert self._folder is not None
         self._open = ""
         with suppress(OSError):
             (self._folder / FILE).unlink()
+
+    def _refuse(self, reason: str) -> None:
+        assert self._folder is not None
+        self._open = ""
+        with suppress(OSError):  # the command then waits in vain
+            replace_text(self._folder / FILE, f"{REFUSED}{reason}", durable=False)
+
+
+def refusal_of(board: Telemetry) -> str:
+    """Text of a board that has refused to confirm its zero; empty if it has not."""
+    answer = board.acknowledged
+    if answer is None or answer[0] != CALIBRATE or answer in ANSWERED:
+        return ""
+    return f"the board refuses: {board.texts[-1][1] if board.texts else f'MAV_RESULT {answer[1]}'}"
 
 
 def _this_boot() -> str:
@@ -77,8 +110,26 @@ def write_request(path: Path, in_air: bool) -> None:
     replace_text(path, f"{AIR if in_air else KEPT} {_this_boot()} {boot_time_s():.3f}", durable=False)
 
 
+@contextmanager
+def only_request(folder: Path) -> Iterator[None]:
+    """Let no other command ask meanwhile. Raises ConfigError if one does, and OSError."""
+    if not folder.is_dir():
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{folder}: another confirm-zero is under way: wait for its answer") from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def ask_program(folder: Path, in_air: bool) -> bool:
-    """Have the robot's program send the request. False if none takes it up. Raises OSError."""
+    """Have the robot's program send the request, as the only one (`only_request`). False if none takes it up. Raises OSError,
+    and ConfigError with the reason if it is refused."""
     if not folder.is_dir():
         return False
     path = folder / FILE
@@ -86,6 +137,10 @@ def ask_program(folder: Path, in_air: bool) -> bool:
     try:
         end_s = time.monotonic() + WITHIN_S
         while path.exists() and time.monotonic() < end_s:
+            with suppress(FileNotFoundError):
+                answer = read_regular(path, MOST_BYTES).decode("ascii", "replace")
+                if answer.startswith(REFUSED):
+                    raise ConfigError(answer.removeprefix(REFUSED))
             time.sleep(0.05)
         return not path.exists()
     finally:
@@ -110,14 +165,12 @@ def tell_board(config: AgentConfig, in_air: bool) -> Telemetry:
             wires.wait(0.05)
             mavlink.receive(wires.read(), time.monotonic_ns())
             telemetry = mavlink.telemetry
-            answer = telemetry.acknowledged
             if answered_ms is not None and telemetry.board_ms != answered_ms:
                 return telemetry
-            if answer in ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED)):
+            if telemetry.acknowledged in ANSWERED:
                 answered_ms = telemetry.board_ms
-            elif answer is not None and answer[0] == CALIBRATE:
-                answer_text = telemetry.texts[-1][1] if telemetry.texts else f"MAV_RESULT {answer[1]}"
-                raise ConfigError(f"{config.link}: the board refuses: {answer_text}")
+            elif refusal := refusal_of(telemetry):
+                raise ConfigError(f"{config.link}: {refusal}")
         if answered_ms is not None:
             return replace(mavlink.telemetry, board_ms=-1)
         raise ConfigError(f"{config.link}: {wires.trouble or 'the board does not answer'}")

@@ -148,7 +148,8 @@ class Thruster(Section):
     lag_s: NotNegative
     """Time constant, first order."""
     dead_time_s: NotNegative
-    """Time before thrust begins to change."""
+    """Time from an order of the robot's computer until thrust begins to change, mean: link, board and half a period of the
+    pulses in it."""
     neutral_us: Microseconds
     """Pulse width at which it stands still."""
     curve: Annotated[tuple[tuple[Microseconds, float], ...], Field(min_length=4)]

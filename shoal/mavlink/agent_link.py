@@ -46,6 +46,7 @@ CLOCKS_KEPT = 16  # of these the quickest round trip tells the clock: what is sl
 CLOCK_TRIP_NS = 20_000_000  # a slower answer may be wrong by more than what a burst that is read waited for
 CLOCK_STEP_NS = 5_000_000  # two answers that differ by this more than their round trips explain: the board's clock was set
 BOARD_MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
+OTHER_BOARD_NS = 1_000_000_000  # of silence, in which another board may have been plugged in, or its parameters set
 CHARGE_STATES = range(8)  # MAV_BATTERY_CHARGE_STATE
 NO_AUTOPILOT = frozenset({dialect.MAV_AUTOPILOT_GENERIC, dialect.MAV_AUTOPILOT_INVALID})  # MAV_AUTOPILOT of a thruster board
 
@@ -174,7 +175,8 @@ class AgentLink:
         self._receiver = Receiver(lambda peer: peer == self._board, verifier)
         self._refused = 0
         self._has_depth = False  # this burst, so far
-        self._burst_ms = -1  # the board's time of the last burst
+        self._burst_ms = -1  # the board's time of the last burst,
+        self._burst_ns = 0  # and when it came
         self._asked_ns: int | None = None
         self._clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)  # round trip, the board's clock minus ours
         self._doubted_clock: tuple[int, int] | None = None  # the last answer, if it contradicts those before it
@@ -182,7 +184,7 @@ class AgentLink:
         self._arm_answered = False  # an answer has come since the board was asked to arm
         self._reported: dict[str, int] = {}  # the last value of each field that the next report has to confirm
         self.telemetry = Telemetry()
-        self.parameters = ParameterList()  # of the board's present life
+        self.parameters = ParameterList()  # of the board's present life, since the last silence
 
     @property
     def stamp(self) -> int:
@@ -368,13 +370,14 @@ class AgentLink:
 
     def _measured_ns(self, board_ms: int, now_ns: int) -> int:
         """The instant of a burst on the robot's clock: not later than now, and now while the board's clock is unknown. A board
-        that was restarted has another clock. While one answer contradicts those before it, that clock counts by which the
-        burst is younger: by the wrong one it is old, or of the future."""
+        that was restarted has another clock, and one that was silent may be another board. While one answer contradicts those
+        before it, that clock counts by which the burst is younger: by the wrong one it is old, or of the future."""
         if board_ms < self._burst_ms:
             self._clocks.clear()
             self._doubted_clock = None
+        if board_ms < self._burst_ms or now_ns - self._burst_ns > OTHER_BOARD_NS:
             self.parameters = ParameterList()
-        self._burst_ms = board_ms
+        self._burst_ms, self._burst_ns = board_ms, now_ns
         clocks = (min(self._clocks, default=None), self._doubted_clock)
         offsets_ns = [clock[1] for clock in clocks if clock is not None and clock[0] <= CLOCK_TRIP_NS]
         ages_ns = [(now_ns + offset_ns - board_ms * 1_000_000) % (BOARD_MS_WRAPS * 1_000_000) for offset_ns in offsets_ns]

@@ -77,7 +77,7 @@ class NewFile(io.BufferedWriter):
         self._in_place = _is_device(path)
         with _named(path):
             if self._in_place:
-                descriptor = os.open(path, os.O_WRONLY | os.O_CLOEXEC)
+                descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)  # stdout may be a file, appended to
             else:
                 if mode is None and path.is_file() and not path.is_symlink():
                     mode = path.stat(follow_symlinks=False).st_mode & 0o777

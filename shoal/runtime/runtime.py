@@ -206,9 +206,8 @@ class _BusHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         if self._bus.closed:  # the gate's guard speaks to the end
             return
-        level = _LEVELS.get(record.levelno, 2)
-        event = Event(level, self._source, record.getMessage())
         try:
+            event = Event(_LEVELS.get(record.levelno, 2), self._source, record.getMessage())
             self._bus.publish(topics.EVENT, event, self._clock.now_ns())
         except Exception:  # whatever goes wrong here must not end the process: the line is on stderr anyway
             self.handleError(record)

@@ -177,8 +177,8 @@ class ExposureTables(NamedTuple):
 
 @kernel
 def expose(motions: BodyMotions, probes_px: Cube, exposure_s: float, floor_m: float, tables: ExposureTables) -> None:
-    """Fill the tables with what a camera sees of each body during an exposure. `probes_px` (n, 3, 2) are the pixels of each body's centre and of points PROBE_M beside it along x and
-    y."""
+    """Fill the tables with what a camera sees of each body during an exposure. `probes_px` (n, 3, 2) are the pixels of each
+    body's centre and of points PROBE_M beside it along x and y."""
     eta, nu, tilt, shapes = motions
     parts, px_per_m, poses, attitudes, depths, boxes, shadows = tables
     for i in range(len(eta)):

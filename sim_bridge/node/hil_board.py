@@ -8,12 +8,14 @@ pins thrusters may turn is never armed from here.
 """
 
 import time
+from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
 from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
+from shoal.mavlink.agent_link import IGNORED
 from shoal.mavlink.board_port import Link, open_link
 from shoal.mavlink.parameters import DOES_NOT_EXIST, ParameterClient
 from shoal.mavlink.signing import SignatureVerifier
@@ -21,7 +23,7 @@ from shoal.mavlink.signing_key import Signing
 from shoal.runtime.runtime import Failed, log
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.thruster_board.board import STATUS_NS, DemandedLoad, crosses
-from sim_bridge.thruster_board.board_link import BoardLink, SetParameter
+from sim_bridge.thruster_board.board_link import BoardLink, Override, SetParameter
 from sim_bridge.thruster_board.parameters import VOLATILE
 from sim_bridge.thruster_board.simulator_link import LINK_ID, SimulatorLink
 
@@ -30,6 +32,7 @@ ASK_AGAIN_S = 0.3
 YOUNG_NS = 100_000_000  # ns, age of the echo up to which bytes pass: less than a board takes to start again
 SILENT_NS = 1_000_000_000  # ns without an echo, after which the run ends
 MODE_NS = 2_500_000_000  # ns without a word about the mode, after which the run ends: two heartbeats
+ORDERS_KEPT = 8  # orders whose effect may still be on its way back; at 50 Hz those of 0.16 s
 
 
 class HilBoard:
@@ -53,6 +56,9 @@ class HilBoard:
         self._rest_us, self._thrusters = experiment.vehicle.neutral_us, experiment.vehicle.thruster_count
         self._begin_ns = self._mode_ns = 0  # of the first step; of the last at which the mode was known
         self._last_step_ns: int | None = None
+        self.obeys_ns: int | None = None
+        self._orders: deque[tuple[int, tuple[int, ...]]] = deque(maxlen=ORDERS_KEPT)  # passed on when; pulses, each other ones
+        self._shown_us, self._follows = self._rest_us, True  # the last echo; it is what an order says
 
     @property
     def pulses(self) -> tuple[int, ...]:
@@ -75,11 +81,14 @@ class HilBoard:
         the board might find a frame that was not."""
         before = self._judge.taken_frames
         self._judge.receive(data, now_ns)
-        frames = [f for f, event in self._judge.read if not (isinstance(event, SetParameter) and event.name in VOLATILE)]
-        if len(frames) < len(self._judge.read):
+        passed = [(f, e) for f, e in self._judge.read if not (isinstance(e, SetParameter) and e.name in VOLATILE)]
+        if len(passed) < len(self._judge.read):
             log.warning("robot %d: a change of %s is not passed on", self._robot_id, " or ".join(VOLATILE))
-        if frames and self._is_open(now_ns):
-            self._link.send(b"".join(frames))
+        if passed and self._is_open(now_ns):
+            self._link.send(b"".join(frame for frame, _ in passed))
+            for pulses_us in (event.pulses_us for _, event in passed if isinstance(event, Override)):
+                if not self._orders or pulses_us != self._orders[-1][1]:
+                    self._orders.append((now_ns, pulses_us))
         return self._judge.taken_frames > before
 
     def _is_open(self, now_ns: int) -> bool:
@@ -102,6 +111,7 @@ class HilBoard:
         data = self._link.read()
         self._board.receive(data, now_ns)
         self._check(now_ns)
+        self._note_outputs()
         if self.measures(now_ns):
             reading = self.sensors.read(eta, nu, acceleration, tilt, now_ns * 1e-9)
             values = (reading.heading_rad, reading.yaw_rate_radps, reading.acceleration_mps2, reading.depth_m)
@@ -113,6 +123,19 @@ class HilBoard:
                     self._renew(self._signing)
         self._last_step_ns = now_ns
         return data
+
+    def _note_outputs(self) -> None:
+        """Note which order new outputs obey: the echo comes up to two periods of the board after it. Outputs that have still
+        to slew obey none yet, nor do those at which they end: when that began is not known."""
+        self.obeys_ns, followed = None, self._follows
+        if self.pulses == self._shown_us:
+            return
+        self._shown_us = self.pulses
+        ordered_ns = [
+            ns for ns, order in self._orders if all(o in (p, IGNORED) for o, p in zip(order, self.pulses, strict=True))
+        ]
+        self._follows = bool(ordered_ns)
+        self.obeys_ns = ordered_ns[-1] if ordered_ns and followed else None
 
     def _renew(self, signing: Signing) -> None:
         """Keep the times of signatures. A full disk is no reason to stop, as on a robot: only a restart would come too early

@@ -4,7 +4,7 @@ Deliberately richer than the controller's model, and written without it: the con
 the fleet.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -98,6 +98,13 @@ class Plant:
         return PlantState(
             state.steps + steps, motion.eta, motion.nu, ActuatorState(force_n, ankle_rad, history), motion.tilt, fleet.charge
         )
+
+    def with_past_pulses(self, state: PlantState, i: int, pulses_us: Array, steps: int) -> PlantState:
+        """The state as if pulses (8,) had been on the i-th board's outputs for the last `steps` already. What has acted before
+        their dead time was over stays."""
+        history = state.motors.pulses_us.copy()
+        history[:steps, i] = pulses_us
+        return replace(state, motors=replace(state.motors, pulses_us=history))
 
     def _accelerations(self, state: PlantState) -> tuple[Array, Array]:
         """d nu / dt now, (n, 4), and the thrusters' forces and moments (n, 6)."""

@@ -115,6 +115,8 @@ class DemandedLoad:
 class ThrusterBoard:
     """One robot's thruster board."""
 
+    obeys_ns: int | None = None  # its outputs are known at once
+
     def __init__(
         self,
         experiment: Experiment,

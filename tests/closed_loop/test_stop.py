@@ -201,6 +201,7 @@ MISTAKES: dict[str, str] = {
     "order stop --robot 1": "'--robot' means nothing to `stop`",
     "stop --wait -1": "--wait '-1' cannot be used",
     "stop --wait soon --keys": "--keys has no value",
+    "stop --wait 100000": "--wait '100000' cannot be used",
     "stop --keys missing --insecure": "",
     "stop --station 7447": "'7447': not a place where a station can be",
     "stop --fleet nobody": "--fleet nobody: no such station runs here; every station of this machine was stopped",
@@ -303,6 +304,20 @@ def test_stop_reaches_every_station_and_says_of_each_what_it_confirmed(
     for one in (other, hung):
         one.process.terminate()
         one.process.wait()
+
+
+def test_stop_of_a_station_that_hangs_stops_the_others_soon(machine: Machine, station: StationProcess) -> None:
+    """Its router still takes the connection, so there is a reply: that nobody has answered."""
+    hung = machine.station("named", f"tcp/127.0.0.1:{free_port()}", robots=())
+    hung.process.send_signal(signal.SIGSTOP)
+    before = station.stops()
+    line = machine.command("stop", "--station", hung.address, "--wait", "600")
+    with subprocess.Popen(line, env=machine.environment({}), cwd=machine.folder, stdout=subprocess.DEVNULL) as terminal:
+        try:
+            assert eventually(lambda: station.stops() == before + 1, 15.0)
+        finally:
+            terminal.kill()
+            hung.process.kill()
 
 
 def test_without_a_station_stop_says_so(tmp_path: Path) -> None:

@@ -8,10 +8,11 @@ import pytest
 from groundstation.formation_clock import FormationPlans
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainStage, GainUpdater
-from groundstation.mission.lap_statistics import LapStatistics
+from groundstation.mission.lap_statistics import FlownLaps, LapStatistics
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import Fleet, RobotView
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import Circle
 from shoal.frames import Array
 from shoal.messages.codec import Header
 from shoal.messages.live_gains import tunable_parameters, tuning
@@ -50,7 +51,9 @@ class TuningLab:
     def __init__(self, experiment: Experiment) -> None:
         self.pool = DryPool(experiment)
         self.tuner = GainUpdater(self.pool.experiment)
-        self.laps = LapStatistics(self.tuner.lap_s)
+        path = experiment.path
+        assert isinstance(path, Circle)
+        self.flown, self.laps = FlownLaps(path.lap_s, end_s=experiment.duration_s), LapStatistics()
         self.mute: set[int] = set()
         self.answers: list[CommandResult] = []
         self._sent = 1000
@@ -70,7 +73,7 @@ class TuningLab:
         self.pool.step()
         commands = self.tuner.step(self.fleet(), self.answers, self.pool.now_ns)
         self.answers = [CommandResult(command, self.send(command)) for command in commands]
-        self.laps.update(self.flying())
+        self.laps.update(self.flying(), self.flown)
 
     def flying(self) -> dict[int, RobotState]:
         states = {r: view.state for r, view in self.fleet().items() if view.state is not None}
@@ -81,7 +84,7 @@ class TuningLab:
             self.step()
 
     def request(self, values: Mapping[str, float], next_lap: bool = False) -> str:
-        return self.tuner.request(values, next_lap, self.fleet(), self.pool.now_ns, self.flying())
+        return self.tuner.request(values, self.fleet(), self.pool.now_ns, self.flying(), self.flown if next_lap else None)
 
     def states(self, robot: int = 0) -> list[RobotState]:
         return self.pool.robots[robot].states

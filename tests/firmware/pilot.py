@@ -16,13 +16,16 @@ class Pilot:
 
     def run(self, seconds: float, *thrusters_us: int, ankle_us: int = IGNORED) -> None:
         """Let time pass, with overrides at 20 Hz if there are pulses."""
-        for count in range(round(seconds * 1e9) // STEP_NS):
+        steps, rest_ns = divmod(round(seconds * 1e9), STEP_NS)
+        for count in range(steps):
             if thrusters_us and count % 10 == 0:
                 self.send(self.link.pulses([*thrusters_us, *[ankle_us] * 4]))
             self.step()
+        if rest_ns:
+            self.step(rest_ns)
 
-    def step(self) -> None:
-        self.now_ns += STEP_NS
+    def step(self, step_ns: int = STEP_NS) -> None:
+        self.now_ns += step_ns
         self.take(self.mega.step(self.now_ns))
 
     def take(self, data: bytes) -> None:

@@ -190,6 +190,7 @@ class CutBoard:
         pilot.send(ParameterClient(1).give(KEY, 500))
         pilot.run(2.5)
         self._keyed = self.mega.eeprom
+        self.phases_us: set[int] = set()  # of the cuts, in a step of the computer's
 
     def cut(self, draw: random.Random) -> tuple[bool, bool, float]:
         """Orders, a loss of power at a random instant, and all that was sent once more. Returns whether the board was armed
@@ -198,6 +199,7 @@ class CutBoard:
         mega.lose_power()
         mega.eeprom = self._keyed
         mega.reset(Reset.POWER_ON)
+        begun_us = mega.now_us
         pilot, client = Pilot(mega, KEY), ParameterClient(1, KEY, lambda: stamp)
         pilot.now_ns = round(mega.now_us * 1000.0)
         pilot.run(0.4)
@@ -220,7 +222,8 @@ class CutBoard:
             if count == 5:
                 say(order())
             pilot.step()
-        pilot.run(draw.uniform(0.0, 0.005))
+        pilot.run(draw.uniform(0.0, STEP_NS * 1e-9))
+        self.phases_us.add(round(mega.now_us - begun_us) % (STEP_NS // 1000))
         armed = pilot.link.telemetry.armed
         mega.lose_power(torn=draw.choice([0xFF, 0x00, draw.randrange(256)]))
         listener = AgentLink(1, KEY, lambda: 1)
@@ -249,6 +252,7 @@ def cut_often(count: int) -> None:
         assert value in (OLD, NEW), at
         armed += before
     assert armed > count // 20  # some orders had come through
+    assert len(board.phases_us) > count // 2
     assert board.mega.eeprom_counts()[1] == 0  # none of its bytes was touched while one was being written
     board.mega.close()
 

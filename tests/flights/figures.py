@@ -37,7 +37,7 @@ class FlightFigures:
     robots: int
     refused: str = ""  # reason of a planner or robot that did not begin
     left: str = ""  # mode and reason when a robot left TRACKING without an order, and when; empty if none did
-    is_stop: bool = False  # it stopped: not only HOLD
+    is_stop: bool = False  # it stopped: not only HOLD; not of a robot without thrust in an encounter, which should
     holds: bool = False  # HOLD was ordered
     settled_s: float = math.nan  # from when on it was within 5 cm for good, on its path
     never_settled: bool = False  # it was away for most of the last 10 s of path or HOLD
@@ -70,7 +70,8 @@ def figures(log: FlightLog) -> FlightFigures:
     left, is_stop = _left(log)
     place = _hold(log)
     last = slice(max(end - round(LAST_S / log.period_s), 0), end)
-    away_m = [float(np.median(values, axis=0).max()) for values in (off_m[last], place[-_rows(log, LAST_S) :]) if len(values)]
+    ends = (off_m[last][:, _flying(log)], place[-_rows(log, LAST_S) :])
+    away_m = [float(np.median(values, axis=0).max()) for values in ends if len(values)]
     fell = is_stop and log.hold_row is None  # on its path
     stop_s, reason = _stop(log)
     still = Control(wrench=np.zeros(3), wrench_step=np.zeros(3))  # of a robot that has stopped
@@ -117,7 +118,8 @@ def _largest(values: Array) -> float:
 
 
 def _left(log: FlightLog) -> tuple[str, bool]:
-    """The first mode that no one ordered, with time and reason, a stop before a HOLD; and whether a robot stopped."""
+    """The first mode that no one ordered, with time and reason, a stop before a HOLD; and whether a robot stopped, of an
+    encounter one that has its thrust."""
     changes = [
         (state.mode not in STOPPED, k, i, state)
         for i, states in enumerate(log.states)
@@ -126,9 +128,11 @@ def _left(log: FlightLog) -> tuple[str, bool]:
     ]
     if not changes:
         return "", False
-    only_holds, k, i, state = min(changes, key=lambda change: change[:3])
+    _, k, i, state = min(changes, key=lambda change: change[:3])
     who = f"robot {i + 1}: " if len(log.states) > 1 else ""
-    return f"{who}{state.mode.name} after {(k + 1) * log.period_s:.2f} s: {state.fault}", not only_holds
+    judged = range(len(log.states)) if log.plan.of.is_trap else _flying(log)
+    is_stop = any(i in judged and not holds for holds, _, i, _ in changes)
+    return f"{who}{state.mode.name} after {(k + 1) * log.period_s:.2f} s: {state.fault}", is_stop
 
 
 def _hold(log: FlightLog) -> Array:

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from socket import SOCK_DGRAM
 from typing import Any
@@ -166,11 +167,12 @@ class Running:
         return newest.message if newest is not None else RobotState()
 
 
-@pytest.fixture
-def running() -> Iterator[Running]:
+@contextmanager
+def program(board: Link) -> Iterator[Running]:
+    """The program with this board, running."""
     hub, stop = MemoryHub(), Stop(install=False)
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    robot = node.AgentNode(POOL, 1, bus, Board(), stop)
+    robot = node.AgentNode(POOL, 1, bus, board, stop)
     process = Running(robot, station, station.inbox(topics.STATE, RobotState, 1))
 
     def run() -> None:
@@ -183,12 +185,30 @@ def running() -> Iterator[Running]:
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        assert process.until(lambda: process.order(CommandKind.ARM).accepted)
-        assert process.order(CommandKind.HOLD).accepted
         yield process
     finally:
         stop.request()
         thread.join()
+
+
+@pytest.fixture
+def running() -> Iterator[Running]:
+    with program(Board()) as process:
+        assert process.until(lambda: process.order(CommandKind.ARM).accepted)
+        assert process.order(CommandKind.HOLD).accepted
+        yield process
+
+
+def test_a_board_that_does_not_report_its_outputs_is_not_armed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BoardLink, "servo_output", lambda *_: b"")
+    with program(Board()) as process:
+        reasons: list[str] = []
+
+        def is_refused_for_it() -> bool:
+            reasons.append(process.order(CommandKind.ARM).reason)
+            return "does not report its outputs" in reasons[-1]
+
+        assert process.until(is_refused_for_it), set(reasons)
 
 
 def test_a_step_that_waits_is_as_late_as_one_that_computes(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:

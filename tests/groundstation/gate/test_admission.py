@@ -272,6 +272,23 @@ def test_origins_are_forgotten_in_the_end(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(door.admission._origins) <= 11
 
 
+def test_an_origin_that_comes_again_and_again_is_not_forgotten_for_others_that_come_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Forgotten, it would have all its tries anew."""
+    monkeypatch.setattr(admission, "MOST_ORIGINS", 3)
+    door, tried = Door(), 0
+    for host in range(40):
+        number = door.come("10.0.0.1", 1.0, hello=True)
+        if number in dict(door.turns(1.0)):
+            door.admission.ended(number, True, 1.0)
+            tried += 1
+        else:
+            door.admission.gone(number)
+        door.admission.gone(door.come(f"10.0.{host + 1}.1", 1.0))
+    assert tried == admission.ORIGIN_BURST
+
+
 UNPROVEN = RefusalReason.NO_CERTIFICATE
 
 

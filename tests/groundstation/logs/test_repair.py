@@ -20,6 +20,7 @@ from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import Preview
 from tests.groundstation.small_log import record_poses, sequences
+from tests.waiting import eventually
 
 
 def test_recover_leaves_a_whole_file_alone(tmp_path: Path) -> None:
@@ -34,10 +35,15 @@ def test_recover_leaves_a_whole_file_alone(tmp_path: Path) -> None:
 def several_flushes(path: Path) -> None:
     """A file of several chunks, as a run of some seconds has."""
     recorder = Recorder(path, "name = 'pool'\n", {"mode": "lockstep"})
-    for k in range(8):
-        payload = encode(Preview(random.Random(k).randbytes(150_000)), 0)  # incompressible: two fill a chunk
-        recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k + 1, k), payload, k)
+    put_previews(recorder, 1, 8)
     recorder.close()
+
+
+def put_previews(recorder: Recorder, first: int, last: int) -> None:
+    """Record previews with these numbers."""
+    for k in range(first, last + 1):
+        payload = encode(Preview(random.Random(k).randbytes(150_000)), 0)  # incompressible: two fill a chunk
+        recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k, k), payload, k)
 
 
 def test_any_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
@@ -119,14 +125,22 @@ def test_a_closed_log_with_a_damaged_chunk_is_mended_and_says_so(tmp_path: Path)
     assert [file.name for file in tmp_path.glob("*.original*")] == ["run.mcap.original"]
 
 
-def test_the_chunk_that_declares_the_channels_costs_no_other_when_it_is_damaged(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    several_flushes(path)
-    data = bytearray(path.read_bytes())
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_the_chunk_that_declares_the_channels_costs_no_other_when_it_is_damaged(is_cut: bool, tmp_path: Path) -> None:
+    whole, path = tmp_path / "whole.mcap", tmp_path / "run.mcap"
+    recorder = Recorder(whole, "name = 'pool'\n", {})
+    put_previews(recorder, 1, 3)
+    assert eventually(lambda: whole.stat().st_size > 400_000)  # the rest comes with another flush
+    put_previews(recorder, 4, 8)
+    recorder.close()
+    data = bytearray(whole.read_bytes())
     data[100_000] ^= 0xFF  # in the first chunk
-    path.write_bytes(data)
+    path.write_bytes(data[:-50] if is_cut else data)
     kept = [line.header.sequence for line in valid_messages(path)]
-    assert len(kept) > 3 and kept == list(range(9 - len(kept), 9))
+    assert len(kept) >= 5 and kept == list(range(9 - len(kept), 9))
+    if is_cut:
+        with open_log(tmp_path) as log:
+            assert [line.header.sequence for line in log.messages(lambda topic, robot: True)] == kept
     assert recover(path)
     assert sequences(path) == kept
 

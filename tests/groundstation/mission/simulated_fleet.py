@@ -12,7 +12,6 @@ import numpy as np
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
-from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanRequest
@@ -273,7 +272,6 @@ class SimulatedFleet:
             experiment,
             Mission(experiment, segment, self.starts, self.automatic, self.give_up_s),
             tuner,
-            LapStatistics(tuner.lap_s),
         )
         self.mission, self.single = self.core.mission, self.core.single
         self._states: dict[int, deque[tuple[int, int, RobotState]]] = {r: deque() for r in self.robots}

@@ -8,12 +8,14 @@ import pytest
 
 from groundstation.mission.command_dispatcher import RETRY_S, CommandResult
 from groundstation.mission.gain_update import AGAIN_S, PATIENCE_S, GainStage, GainUpdater
+from groundstation.mission.lap_statistics import FlownLaps
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import RobotView
 from shoal.config.experiment import load_experiment
 from shoal.messages.messages import Command, CommandKind, Mode, Reply, RobotState
 
 EXPERIMENT = load_experiment("pool", ["path.lap_s=25", "duration_s=100"])
+LAPS = FlownLaps(25.0, end_s=100.0)
 KEY, VALUE = "controller.nmpc.turning_m", 0.2
 STEP_S = 0.05
 
@@ -83,7 +85,7 @@ class TunedFleet:
     def request(self, value: float = VALUE, next_lap: bool = False) -> str:
         views = self.views()
         flying = {r: view.state for r, view in views.items() if view.state is not None and view.mode is Mode.TRACKING}
-        return self.tuner.request({KEY: value}, next_lap, views, round(self.now_s * 1e9), flying)
+        return self.tuner.request({KEY: value}, views, round(self.now_s * 1e9), flying, LAPS if next_lap else None)
 
     def undo(self) -> str:
         return self.tuner.undo(self.views(), round(self.now_s * 1e9))
@@ -212,8 +214,7 @@ def test_gains_for_a_next_lap_that_never_comes_are_refused(progress_s: float, mo
 
 
 def test_a_path_without_laps_has_no_next_one() -> None:
-    tuner = GainUpdater(load_experiment("figure-eight"))
-    assert tuner.request({KEY: VALUE}, True, {}, 0, {}) == "this path has no laps"
+    assert GainUpdater(EXPERIMENT).request({KEY: VALUE}, {}, 0, {}, FlownLaps(None)) == "this path has no laps"
 
 
 def test_wishes_that_cannot_be() -> None:

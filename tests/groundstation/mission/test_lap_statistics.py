@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.lap_statistics import LapStatistics
+from groundstation.mission.lap_statistics import FlownLaps, LapStatistics
 from shoal.messages.messages import Control, Estimate, Mode, RobotState
 
 LAP_S = 10.0
+PATH = FlownLaps(LAP_S)
 
 
-def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0.01) -> None:
+def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0.01, path: FlownLaps = PATH) -> None:
     """A step of robots that are so far along, all as far from their references."""
     away = np.array([error_m, 0.0, 0.0, 0.0])
     laps.update(
@@ -18,13 +19,14 @@ def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0
                 mode=Mode.TRACKING, tuning_id="a", trajectory_s=s, estimate=Estimate(eta=away), control=Control()
             )
             for robot, s in trajectory_s.items()
-        }
+        },
+        path,
     )
 
 
 def test_a_hold_and_resume_from_the_slowest_keeps_the_laps() -> None:
     """One robot holds by itself; until the others do they come a little further, and go back by that when all resume."""
-    laps = LapStatistics(LAP_S)
+    laps = LapStatistics()
     for k in range(1, 301):
         note(laps, {1: 0.05 * k, 2: 0.05 * k}, 0.01 if k <= 200 else 0.02)
     for k in (301, 302, 303):
@@ -39,7 +41,7 @@ def test_a_hold_and_resume_from_the_slowest_keeps_the_laps() -> None:
 
 
 def test_another_run_begins_another_table() -> None:
-    laps = LapStatistics(LAP_S)
+    laps = LapStatistics()
     for k in range(1, 250):
         note(laps, {1: 0.05 * k})
     note(laps, {1: 0.05})
@@ -49,7 +51,7 @@ def test_another_run_begins_another_table() -> None:
 
 def test_a_robot_that_joins_late_makes_no_lap_shorter() -> None:
     """Robot 2 is away from 5 s to 15 s, over the end of the first lap; robot 3 joins at 18 s."""
-    laps = LapStatistics(LAP_S)
+    laps = LapStatistics()
     for k in range(1, 371):
         flying = {1: True, 2: not 100 < k < 300, 3: k >= 360}
         note(laps, {robot: 0.05 * k for robot, flies in flying.items() if flies})
@@ -59,12 +61,24 @@ def test_a_robot_that_joins_late_makes_no_lap_shorter() -> None:
 
 
 def test_an_error_that_is_not_known_is_left_out_and_the_time_is_not() -> None:
-    laps = LapStatistics(LAP_S)
+    laps = LapStatistics()
     for k in range(1, 191):
         if k % 3:
             note(laps, {1: 0.05 * k}, 0.02)
         else:
-            laps.update({1: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=0.05 * k, control=Control())})
+            laps.update({1: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=0.05 * k, control=Control())}, PATH)
     (lap,) = laps.laps()
     assert lap.rms_m == pytest.approx(0.02)
     assert lap.time_s == pytest.approx(9.45, abs=0.06)
+
+
+def test_laps_of_another_path_are_counted_from_its_own_beginning() -> None:
+    """A path without laps until 12 s, then one with laps of 4 s that begins at 15 s, after a transfer into place."""
+    laps = LapStatistics()
+    for k in range(1, 241):
+        note(laps, {1: 0.05 * k}, path=FlownLaps(None))
+    assert [lap.number for lap in laps.laps()] == [0]
+    for k in range(241, 481):
+        note(laps, {1: 0.05 * k}, path=FlownLaps(4.0, path_s=15.0, flight=1))
+    assert [lap.number for lap in laps.laps()] == [1, 2, 3]
+    assert [lap.time_s for lap in laps.laps()][1] == pytest.approx(4.0, abs=0.11)

@@ -132,6 +132,34 @@ def test_robots_change_places_at_rest_and_from_a_hold(fleet: SimulatedFleet, hol
     assert all(np.hypot(*(fleet.robots[3 - r].eta[:2] - was[r])) < 0.05 for r in (1, 2))
 
 
+@pytest.mark.parametrize(
+    ("state", "form"),
+    [
+        (MissionState.WAITING, "turn 30 over 12"),
+        (MissionState.PAUSED, "turn 30 over 12"),
+        (MissionState.RUNNING, "line 0.9 turn 40"),
+    ],
+)
+def test_a_draft_of_a_form_is_the_form_that_is_then_flown(fleet: SimulatedFleet, state: MissionState, form: str) -> None:
+    """A person sees it before asking for it."""
+    if state is not MissionState.WAITING:
+        assert ask(fleet, CommandKind.START) == ""
+        until(fleet, MissionState.RUNNING, 10.0)
+    if state is MissionState.PAUSED:
+        assert ask(fleet, CommandKind.HOLD) == ""
+        fleet.run(2.0)
+    assert fleet.mission.state is state
+    before = fleet.mission.segment
+    drafted = fleet.mission.plans.draft_form(form, fleet.fleet, fleet.now_ns, state)()
+    assert fleet.mission.segment is before and fleet.mission.plan_request is None
+    assert ask(fleet, CommandKind.FORMATION, form) == ""
+    while fleet.mission.segment is before:
+        fleet.step()
+    for robot, trajectory in fleet.mission.segment.trajectories.items():
+        assert np.allclose(drafted.trajectories[robot].eta[-1, :3], trajectory.eta[-1, :3], atol=0.01)
+        assert not np.allclose(before.trajectories[robot].eta[-1, :3], trajectory.eta[-1, :3], atol=0.1)
+
+
 def test_a_path_that_cannot_be_flown_here_leaves_the_one_before(fleet: SimulatedFleet) -> None:
     before = fleet.mission.plans.flown
     for text, reason in (

@@ -49,6 +49,22 @@ def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
     assert segment.end_s < new.end_s < segment.end_s + 15.0
 
 
+def test_a_detour_from_straight_sides_comes_back_to_them() -> None:
+    """An L with a stop at its corner, and an obstacle on the first side: corner and second side are flown as planned."""
+    points = "path.points_m=[[-1.5,-0.8],[1.5,-0.8],[1.5,0.9]]"
+    corner = load_experiment(
+        "straight", ["pool.size_m=[8,6,1.5]", points, "path.corner=stop", "path.stop=true", "duration_s=60"]
+    )
+    segment = first_segment(corner)
+    thing = np.array([[0.3, -0.75, 0.1]])
+    new = replan(corner, segment, 4.0, thing)
+    assert clearance(segment, thing[0], 4.0) < 0.3 < clearance(new, thing[0], 4.0)
+    assert new.end_s == segment.end_s
+    late = np.arange(45.0, 60.0, 0.5)
+    for robot, trajectory in segment.trajectories.items():
+        assert np.abs(sample(new.trajectories[robot], late).eta - sample(trajectory, late).eta)[:, :3].max() < 1e-6
+
+
 @pytest.mark.parametrize("scene", ["blocked-path", "islands"])
 def test_a_switch_of_segments_moves_no_reference(scene: str) -> None:
     """The reference at each step, through the robot's own splice and sampler, across the seam."""
@@ -136,6 +152,18 @@ def test_robots_load_every_plan_that_is_made_under_way_and_plans_made_of_plans(p
         check(plan_return(BLOCKED, begin_s, rests, {r: t.eta[0] for r, t in first_segment(BLOCKED).trajectories.items()}))
         segment = plan_regroup(BLOCKED, segment, begin_s, float(now[0]), rests, {r: r for r in rests})
         check(segment)
+
+
+def test_a_segment_says_when_its_path_would_have_begun() -> None:
+    """Held twice: the robots are then where the path's own clock, from there on, says that they are."""
+    segment = first = first_segment(BLOCKED)
+    for progress_s, begin_s in ((20.0, 25.0), (50.0, 60.0)):
+        rests = {r: sample(t, np.array([progress_s])).eta[0] for r, t in segment.trajectories.items()}
+        segment = plan_regroup(BLOCKED, segment, begin_s, progress_s, rests, {r: r for r in rests})
+    late = np.array([segment.transfer_end_s + 10.0])
+    for robot, trajectory in segment.trajectories.items():
+        here, there = sample(trajectory, late).eta[0], sample(first.trajectories[robot], late - segment.path_s).eta[0]
+        assert np.abs(here - there)[:3].max() < 1e-3
 
 
 def glides(from_m: tuple[float, float], to_m: tuple[float, float], seconds: float = 20.0) -> Trajectory:

@@ -1,5 +1,8 @@
 """Paths with straight sides are straight, turn where they should, and have the derivatives that differences give."""
 
+import resource
+import time
+
 import numpy as np
 import pytest
 
@@ -92,3 +95,30 @@ def test_a_formation_flies_a_square_with_straight_sides(corner: str, mode: str) 
     path = f'path={{kind="waypoints",points_m={points},speed_mps=0.1,laps=2,depth_m=0.3,corner="{corner}"}}'
     segment = first_segment(load_experiment("pool", [path, "duration_s=80", f"formation.mode={mode}"]))
     assert off_square_m(segment.centre.eta[np.abs(segment.centre.eta[:, :2]).min(axis=1) < 0.05]).max() < 1e-3
+
+
+FAR = tuple((1e4 if k % 2 else -1e4, 1e4 if k % 3 else -1e4) for k in range(200))  # as far as a page may ask
+AROUND = tuple((2.0 * np.cos(a), 1.5 * np.sin(a)) for a in np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False))
+
+
+@pytest.mark.parametrize(
+    ("path", "why"),
+    [
+        ({"kind": "waypoints", "points_m": FAR, "corner": "round"}, "too many or too long"),
+        ({"kind": "waypoints", "points_m": AROUND, "laps": 150, "corner": "round", "corner_m": 0.01}, "too many or too long"),
+        ({"kind": "route", "via_m": FAR}, "m long"),
+    ],
+    ids=["far places", "many laps", "a route"],
+)
+def test_a_path_that_would_fill_the_memory_is_refused_at_once(path: dict[str, object], why: str) -> None:
+    """Points of a path that is made dense grow with its length, not with the number of its waypoints."""
+    experiment = load_experiment("straight")
+    flown = type(experiment).model_validate(experiment.model_dump() | {"path": path | {"speed_mps": 0.1}})
+    limits, begun_s = resource.getrlimit(resource.RLIMIT_AS), time.process_time()
+    resource.setrlimit(resource.RLIMIT_AS, (2 << 30, limits[1]))
+    try:
+        with pytest.raises(ConfigError, match=why):
+            first_segment(flown)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+    assert time.process_time() - begun_s < 5.0

@@ -18,7 +18,6 @@ from groundstation.formation_clock import named_alone
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import RETRY_S
 from groundstation.mission.gain_update import GainUpdater
-from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.roster import Leader
@@ -41,6 +40,7 @@ from shoal.messages.messages import (
     CameraHealth,
     Command,
     CommandKind,
+    FaultRequest,
     LocalizerStatus,
     Mode,
     Outcome,
@@ -86,7 +86,6 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     with workers(len(experiment.robot_ids)) as threads:
         yield Station(
             experiment, bus, WallClock(), recorder, Mission(experiment, segment, starts, False), tuner,
-            LapStatistics(tuner.lap_s),
             subscribe_fleet(bus, experiment.robot_ids), threads,
         )  # fmt: skip
     recorder.close()
@@ -112,7 +111,10 @@ def test_a_radio_breaks_only_where_the_simulator_owns_time(tmp_path: Path) -> No
         assert eventually(lambda: "sim-bridge" in station.bus.present)
         refusal, number = station.request(CommandKind.FAULT, text="radio 1 dead")
         assert "without --real-time" in refusal and number == 0
-        assert station.request(CommandKind.FAULT, text="thruster 1/3 dead")[0] == ""
+        asked_for = Bus(MemoryTransport(hub)).inbox(topics.FAULT, FaultRequest)
+        assert station.request(CommandKind.FAULT, text="thruster 1/3 dead for 5")[0] == ""
+        received = asked_for.newest()
+        assert received is not None and (received.message.what, received.message.for_s) == ("thruster 1/3 dead", 5.0)
         station.clock = LockstepClock()
         assert station.request(CommandKind.FAULT, text="radio 1 dead")[0] == ""
 

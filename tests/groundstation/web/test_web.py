@@ -351,7 +351,8 @@ def test_the_picture_lies_where_the_camera_sees_it(rotation: tuple[float, float,
 
 def test_the_mesh_covers_the_basin() -> None:
     points, places = mesh(POOL, POOL.camera)
-    assert np.all(np.abs(points).reshape(-1, 2).max(axis=0) >= np.array(POOL.pool.size_m[:2]) / 2)
+    walls = np.array(POOL.pool.size_m[:2]) / 2
+    assert np.all(points.reshape(-1, 2).max(axis=0) >= walls) and np.all(points.reshape(-1, 2).min(axis=0) <= -walls)
     middle = places.reshape(-1, 2)[np.argmin(np.linalg.norm(points.reshape(-1, 2), axis=1))]
     np.testing.assert_allclose(middle, [0.5, 0.5], atol=0.05)
 
@@ -414,6 +415,17 @@ def test_only_a_changed_file_of_an_experiment_is_read_again(tmp_path: Path, monk
 
     assert loadable("45", 10**9) and not loadable("46", 2 * 10**9)
     assert loadable("45", 3 * 10**9) and loadable("46", 3 * 10**9)  # a file that looks the same is not opened
+
+
+@pytest.mark.parametrize("ids", [("", ""), ("id = 4", 'id = "five"'), ("id = [4]", "id = 5"), ("id = 5", "id = 5")])
+def test_a_half_written_experiment_is_none_to_load(
+    ids: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each page is told the list when it connects: an error there would keep every page out."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "experiments").mkdir()
+    (tmp_path / "experiments" / "half.toml").write_text("".join(f"[[robots]]\n{line}\n" for line in ids))
+    assert experiment_editor.loadable((4, 5)) == []
 
 
 def test_an_edit_is_kept_under_a_new_name_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

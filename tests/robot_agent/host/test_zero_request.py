@@ -12,11 +12,14 @@ from typer.testing import CliRunner
 from robot_agent.__main__ import cli
 from robot_agent.host import board_zero, zero_request
 from robot_agent.host.board_zero import boot_id, boot_time_s
+from robot_agent.host.zero_request import ZeroRequests, write_request
 from robot_agent.node import AgentNode, StepTime
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
-from shoal.mavlink.agent_link import Telemetry
+from shoal.errors import ConfigError
+from shoal.mavlink.agent_link import AgentLink, Telemetry
 from shoal.runtime.runtime import Stop
+from tests.robot_agent.autopilot import Autopilot
 from tests.robot_agent.host.restarted_board import POOL, STEP_NS, RestartedBoard
 from tests.robot_agent.host.silent_board import Switched
 
@@ -80,6 +83,49 @@ def test_the_robots_program_does_not_arm_in_question_and_passes_the_confirmation
     assert stepping.agent.inputs.board.depth_m == pytest.approx(depth_m, abs=0.05)
     assert stepping.mavlink.telemetry.restarted
     assert not (tmp_path / "state" / zero_request.FILE).exists()
+
+
+def refused(config: Path, state: Path) -> str:
+    done = CliRunner().invoke(cli, ["confirm-zero", "--config", str(config), "--state", str(state)])
+    assert isinstance(done.exception, ConfigError), done.output
+    assert not (state / zero_request.FILE).exists()
+    return str(done.exception)
+
+
+def test_the_reason_of_a_refusal_is_told(stepping: AgentNode, agent_toml: Path, tmp_path: Path) -> None:
+    """And not that another program has the board's port, as the command would find itself."""
+    assert isinstance(stepping.link, RestartedBoard)
+    stepping.link.board.zero.surface_hpa = None  # as of a board that was never switched on in air
+    assert "no depth zero is kept: take it in air" in refused(agent_toml, tmp_path / "state")
+    assert "in question" in refusal(stepping)
+
+
+def test_of_two_people_at_once_one_is_told_to_wait(agent_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No program runs. The end of the first one's wait is no answer to the second one."""
+    monkeypatch.setattr(zero_request, "WITHIN_S", 0.5)
+    state = tmp_path / "state"
+    state.mkdir()
+    first: list[str] = []
+    asking = threading.Thread(target=lambda: first.append(refused(agent_toml, state)))
+    asking.start()
+    while not (state / zero_request.FILE).exists():
+        threading.Event().wait(0.01)
+    second = CliRunner().invoke(cli, ["confirm-zero", "--config", str(agent_toml), "--state", str(state), "--in-air"])
+    assert "another confirm-zero is under way" in str(second.exception)
+    asking.join()
+    assert "udp:127.0.0.1:9" in first[0]  # nobody answers there either
+
+
+@pytest.mark.parametrize("has_power", [False, True])
+def test_no_request_goes_to_an_autopilot_nor_to_a_robot_with_power(tmp_path: Path, has_power: bool) -> None:
+    link, there = AgentLink(1), Autopilot()
+    there.send(link.heartbeat())
+    link.receive(there.read(), 0)
+    write_request(tmp_path / zero_request.FILE, in_air=True)
+    time.sleep(0.01)  # its time is rounded
+    assert ZeroRequests(tmp_path).step(link, has_power) == b""
+    said = (tmp_path / zero_request.FILE).read_text(encoding="ascii")
+    assert said.startswith("refused the robot has power" if has_power else "refused autopilot 3")
 
 
 @pytest.mark.parametrize(

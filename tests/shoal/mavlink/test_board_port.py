@@ -107,6 +107,36 @@ def test_network_errors_about_a_datagram_do_not_raise(number: int) -> None:
             link.close()
 
 
+def test_a_frame_from_before_the_opening_is_no_word_of_a_board_that_it_reset(tmp_path: Path) -> None:
+    """Nothing is sent until it speaks again: its bootloader would take that for programming."""
+    plug = tmp_path / "board"
+    for _ in range(10):  # on a busy machine the frame may be read too late to be one from before
+        controller, device = pty.openpty()
+        plug.symlink_to(os.ttyname(device))
+        os.set_blocking(controller, False)
+        begin_s = time.monotonic()
+        link = open_link(f"serial:{plug}:57600")
+        assert isinstance(link, SerialLink)
+        try:
+            os.write(controller, FRAME)
+            assert FRAME in read_for(link, FRAME)
+            if time.monotonic() - begin_s > SETTLE_S:
+                continue
+            link.send(b"pulses")
+            with pytest.raises(BlockingIOError):
+                os.read(controller, 100)
+            hear_board(link, controller)
+            link.send(b"pulses")
+            assert os.read(controller, 100) == b"pulses"
+            return
+        finally:
+            link.close()
+            os.close(controller)
+            os.close(device)
+            plug.unlink()
+    pytest.fail("each frame was read too late")
+
+
 def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path: Path) -> None:
     plug = tmp_path / "board"
     controller, device = pty.openpty()

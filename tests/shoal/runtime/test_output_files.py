@@ -84,6 +84,14 @@ def test_a_pipe_is_written_to(tmp_path: Path) -> None:
     assert Path("/dev/null").is_char_device()
 
 
+def test_an_output_that_is_a_file_to_append_to_keeps_what_is_there(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.txt"
+    kept.write_text("a long day's results\n")
+    with kept.open("a") as out:
+        replace_text(Path(f"/dev/fd/{out.fileno()}"), "new\n")
+    assert kept.read_text() == "a long day's results\nnew\n"
+
+
 @pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="Linux's disk in memory")
 def test_a_file_in_shared_memory_is_replaced_like_any_other() -> None:
     path = Path("/dev/shm") / f"{secrets.token_hex(8)}.toml"

@@ -180,16 +180,18 @@ def test_a_tick_that_cannot_be_read_does_not_repeat_the_step_before(caplog: pyte
 def test_the_logs_lines_travel_as_events_until_the_bus_is_closed_debug_ones_do_not() -> None:
     sender, receiver = two_buses()
     inbox = receiver.inbox(topics.EVENT, Event)
-    before = (list(log.handlers), log.level)
+    before = (list(log.handlers), log.level, log.propagate)
     try:
         log.setLevel(logging.DEBUG)
+        log.propagate = False  # pytest's own handler ends at what the last line does
         log_to_bus(sender, LockstepClock(), "tester")
         log.warning("water in %s", "the boat")
         log.debug("a detail")
+        log.warning("%d robots", "no number")  # logging says on stderr what is wrong with it, and nothing ends
         sender.close()
         log.warning("said after the end")
     finally:
-        log.handlers[:], log.level = before
+        log.handlers[:], log.level, log.propagate = before
     received = inbox.newest()
     assert received is not None
     assert (received.message.level, received.message.source, received.message.message) == (3, "tester", "water in the boat")
