@@ -302,6 +302,7 @@ def _base_install() -> set[str]:
     return distributions
 
 
+@pytest.mark.long
 def test_the_agent_runs_on_the_base_install() -> None:
     """Import all of the agent in a fresh interpreter: nothing that only the other roles install may come along."""
     base = _base_install() | {"shoal", "setuptools", "pip"}

@@ -24,18 +24,16 @@ pytestmark = pytest.mark.long
 SCENES = tuple(sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 # Seconds of flight, past the instant at which a scene has failed before. `make scenes` flies them whole, ten seeds each.
 BEGINNING_S = {
-    "open-water": 8.0,  # robots followed by their looks were lost while they accelerated, 1 to 3.5 s after the start
+    "open-water": 5.0,  # robots followed by their looks were lost while they accelerated, 1 to 3.5 s after the start
     "drifting-obstacle": 11.0,  # "pose late" at 8.6 s
     "blocked-path": 15.0,  # the ball falls at 12 s
-    "two-cameras": 4.0,
     "drone": 5.0,
-    "fleet-20": 4.0,
 }
 # Seconds until robots have passed one another: a whole path with a shorter duration would end where they meet. Encounters to
 # their ends, without a camera, are in test_encounters.py.
 PASSED_S = {"crossing-2": 23.0, "swap": 23.0, "overtake": 33.0, "crossing-4": 23.0}
 PASSES = "crossing-2"  # always flown until the robots have passed; the other three in `make test-slow`
-ELSE_S = 6.0
+ELSE_S = 4.0
 ALL = "whole run flown"
 OF_A_WHOLE_PATH = (ALL, "from its place at the end")  # checks
 

@@ -158,6 +158,7 @@ def fault_of(change: Callable[[Inputs, int], Inputs], steps: int) -> str:
     return fault
 
 
+@pytest.mark.long
 def test_a_flight_ends_with_the_name_of_the_sensor() -> None:
     assert fault_of(lambda inputs, k: inputs, 160) == ""
     frozen = fault_of(lambda inputs, k: replace(inputs, board=replace(inputs.board, depth_m=0.3)), 70)
