@@ -68,6 +68,7 @@ def _of_contact(series: Series) -> Iterator[Check]:
 
 
 def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
+    """Checks of the worst robot's or pair's errors against the experiment's limits."""
     limits, settles = series.experiment.limits, settled(series.asked_s)
     blind = _unknown({f"robot {robot}": series.known_share(r.error, ~r.led_away) for robot, r in series.robots.items()})
     for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):

@@ -178,6 +178,7 @@ class GainUpdater:
         return ()
 
     def _ask(self, order: CommandKind, robots: Sequence[int], change: _Change, now_ns: int) -> tuple[Command, ...]:
+        """Commands of a change of gains that are due to these robots."""
         left_s = max(START_IN_S - (now_ns - self._since_ns) * 1e-9, 0.0)  # a second try counts from the same instant
         return tuple(
             Command(
