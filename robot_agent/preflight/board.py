@@ -4,13 +4,14 @@ others."""
 import itertools
 import platform
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from robot_agent.host import realtime
+from robot_agent.host.board_parameters import BoardParameters, compare, wanted_parameters
 from robot_agent.host.board_zero import SERVICE_FOLDER, read_record, state_folder
 from robot_agent.host.config import AgentConfig, open_board_link
 from robot_agent.preflight import findings
@@ -20,14 +21,15 @@ from robot_agent.preflight.rehearsal import RehearsalFailed, rehearse
 from robot_agent.safety.health import RESTART_DEPTH_M
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
-from shoal.mavlink.agent_link import Telemetry
+from shoal.mavlink.agent_link import AgentLink, Telemetry
 from shoal.mavlink.board_address import number_in_name, parse_link, serial_ports, serial_trouble
+from shoal.mavlink.parameter_list import ParameterList
 from shoal.mavlink.signing_key import agent_end
 from shoal.messages.messages import Mode
 from shoal.runtime.version import code
 
 REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
-BOARD_WITHIN_S = 2.0
+BOARD_WITHIN_S, PARAMETERS_WITHIN_S = 2.0, 4.0  # the second: from the first burst on; a board tells one with each, in 1 s all
 HIGHEST_M = 0.05  # above the surface; a sensor's noise and drift in a session
 ZERO_JUDGED_MS = 1000  # of its life, from which on a board has judged its depth zero: 8 pressures take it 0.3 s
 
@@ -60,7 +62,7 @@ def run_preflight(
     if flying:  # two programs on one thruster board: what one sends the other would spoil
         yield CheckFinding("thruster board", CheckVerdict.SKIPPED, "this robot's agent has it (systemctl stop shoal-agent)")
     else:
-        idle = yield from _board(config)
+        idle = yield from _board(config, experiment)
     if thrusters is None or experiment is None or not idle:
         needs = "(--thrusters moves them one by one)" if thrusters is None else "(the board must say that it is disarmed)"
         yield CheckFinding("thrusters", CheckVerdict.SKIPPED, f"not turned {needs}")
@@ -91,14 +93,16 @@ def _depth_zero() -> Iterator[CheckFinding]:
         yield CheckFinding("depth zero", CheckVerdict.WARN, f"{why} ({remedy})")
 
 
-def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
+def _board(config: AgentConfig, experiment: Experiment | None) -> Generator[CheckFinding, None, bool]:
     """Listen to the thruster board. Returns True if it is heard and reports that it is disarmed: so no agent flies the
     robot."""
+    wanted = None if experiment is None else wanted_parameters(experiment)
     try:
-        telemetry, advice = read_telemetry(config)
+        mavlink, advice = listen(config, wanted)
     except ConfigError as error:
         yield CheckFinding("thruster board", CheckVerdict.FAIL, str(error))
         return False
+    telemetry = mavlink.telemetry
     if advice:
         yield CheckFinding("baud rate", CheckVerdict.WARN, advice)
     if telemetry.autopilot_name:
@@ -115,7 +119,25 @@ def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
     sound = idle and telemetry.battery_reports and not (telemetry.hil or is_zero_wrong or telemetry.zero_in_question)
     detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m{zero}, {on}, {armed}{simulated}"
     yield CheckFinding("thruster board", CheckVerdict.OK if sound else CheckVerdict.WARN, detail)
+    if wanted is not None:
+        yield _parameters(mavlink.parameters, wanted)
     return idle
+
+
+def _parameters(reported: ParameterList, wanted: Mapping[str, float]) -> CheckFinding:
+    """List all differences between the board's parameters and the experiment's."""
+    if not reported.is_complete:
+        came = f"{len(reported.values)} of {reported.count or len(wanted)} came within {PARAMETERS_WITHIN_S:g} s"
+        return CheckFinding("parameters", CheckVerdict.FAIL, f"{came}: the robot does not arm before all are known")
+    differences = compare(reported.values, wanted)
+    matter = [str(difference) for difference in differences if difference.matters]
+    own = [str(difference) for difference in differences if not difference.matters]
+    detail = f"{reported.count} as in the experiment"
+    if matter:
+        detail = f"the robot does not arm (`robot-agent params set` changes one): {', '.join(matter)}"
+    if own:
+        detail += f"; the board's own: {', '.join(own)}"
+    return CheckFinding("parameters", CheckVerdict.FAIL if matter else CheckVerdict.OK, detail)
 
 
 def _start(telemetry: Telemetry) -> str:
@@ -128,29 +150,36 @@ def _start(telemetry: Telemetry) -> str:
     return f"{cause}{kept}{doubt}"
 
 
-def read_telemetry(config: AgentConfig) -> tuple[Telemetry, str]:
-    """Return the thruster board's telemetry, and what should be changed of the link. Raises ConfigError if the board is
-    silent."""
+def listen(config: AgentConfig, wanted: Mapping[str, float] | None) -> tuple[AgentLink, str]:
+    """Return the link with what the thruster board has told, and what should be changed of the link. Its parameters are read
+    if some are `wanted`. Raises ConfigError if the board is silent."""
     wires, signing = open_board_link(config)
     mavlink = agent_end(config.robot, signing)
+    parameters = None if wanted is None else BoardParameters(wanted)
     try:
         within_s = BOARD_WITHIN_S + wires.first_word_s
-        deadline, telemetry = time.monotonic() + within_s, None
+        deadline, is_heard = time.monotonic() + within_s, False
         while time.monotonic() < deadline:
             wires.send(mavlink.heartbeat())  # a board behind UDP learns from it where we are
+            if parameters is not None and (request := parameters.step(mavlink, time.monotonic())):
+                wires.send(request)
             wires.wait(0.1)
             mavlink.receive(wires.read(), time.monotonic_ns())
-            if mavlink.telemetry.autopilot_name:
-                return mavlink.telemetry, wires.advice
-            if mavlink.telemetry.board_ms >= 0:
-                telemetry = mavlink.telemetry
+            telemetry = mavlink.telemetry
+            if telemetry.autopilot_name:
+                return mavlink, wires.advice
+            if telemetry.board_ms >= 0:
+                if not is_heard and parameters is not None:
+                    deadline += PARAMETERS_WITHIN_S
+                is_heard = True
                 judged = not telemetry.zero_in_question or telemetry.board_ms > ZERO_JUDGED_MS
-                if telemetry.battery_reports and telemetry.heartbeats and judged:
+                is_complete = parameters is None or mavlink.parameters.is_complete
+                if telemetry.battery_reports and telemetry.heartbeats and judged and is_complete:
                     break
-        if telemetry is None:
+        if not is_heard:
             why = wires.trouble or _foreign_frames(mavlink.telemetry, config.robot)
             raise ConfigError(f"{config.link}: silent for {within_s:g} s{why and '; '}{why}")
-        return telemetry, wires.advice
+        return mavlink, wires.advice
     finally:
         wires.close()
 

@@ -35,6 +35,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.mavlink import board_address
+from shoal.mavlink.board_port import Link
 from shoal.messages import topics
 from shoal.messages.messages import Mode, Solve, StationHeartbeat, required
 from sim_bridge.sil.ports import free_base_port, free_port
@@ -227,6 +228,7 @@ def test_an_autopilot_and_another_robots_board_fail_by_name(system: int, says: s
     there = Autopilot(system)
     monkeypatch.setattr(check_shell, "open_board_link", lambda board: (there, None))
     monkeypatch.setattr(check_shell, "BOARD_WITHIN_S", 0.05)
+    monkeypatch.setattr(check_shell, "PARAMETERS_WITHIN_S", 0.05)
     monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
     board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
     findings = {finding.what: finding for finding in check_shell.run_preflight(board, None)}
@@ -252,6 +254,46 @@ def test_check_shows_a_restart_and_a_zero_in_question_once_the_board_has_judged_
     board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
     board_line = {finding.what: finding for finding in check_shell.run_preflight(board, None)}["thruster board"]
     assert says in board_line.detail and board_line.verdict is verdict, board_line.detail
+
+
+CHANGED = {"SLEW_US_S": 3e4, "CMD_AGE_MS": 300.0, "CRV02_N": -1.9, "BAT_WARN_V": 11.0, "THR_MAX_US": 1890.0}
+CHANGED_SAYS = (
+    "the robot does not arm (`robot-agent params set` changes one): CMD_AGE_MS is 300 (experiment: 250), SLEW_US_S is 30000 "
+    "(experiment: 8000), THR_MAX_US is 1890 (experiment: 1900), BAT_WARN_V is 11 (experiment: 10.8), CRV02_N is -1.9 "
+    "(experiment: -1.975)"
+)
+OWN_SAYS = "; the board's own: THR3_TRIM_US is -12 (experiment: 0)"
+
+
+@pytest.mark.parametrize(
+    ("changes", "says", "verdict"),
+    [
+        ({}, "46 as in the experiment", CheckVerdict.OK),
+        ({"THR3_TRIM_US": -12.0}, "46 as in the experiment" + OWN_SAYS, CheckVerdict.OK),
+        (CHANGED | {"THR3_TRIM_US": -12.0}, CHANGED_SAYS + OWN_SAYS, CheckVerdict.FAIL),
+    ],
+    ids=["none", "a trim", "five and a trim"],
+)
+def test_check_lists_every_difference_between_the_boards_parameters_and_the_experiments(
+    changes: dict[str, float], says: str, verdict: CheckVerdict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = RestartedBoard(BoardStart(1, True, None), STILL)
+    assert [there.board.rules.change(name, value) for name, value in changes.items()] == [None] * len(changes)
+    assert parameters_line(there, monkeypatch) == CheckFinding("parameters", verdict, says)
+
+
+def test_a_board_that_tells_no_parameters_fails_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check_shell, "PARAMETERS_WITHIN_S", 0.05)
+    line = parameters_line(Told(False, 0), monkeypatch)
+    assert line.verdict is CheckVerdict.FAIL and line.detail.startswith("0 of 46 came within"), line.detail
+
+
+def parameters_line(board: Link, monkeypatch: pytest.MonkeyPatch) -> CheckFinding:
+    """The preflight's line about a board's parameters."""
+    monkeypatch.setattr(check_shell, "open_board_link", lambda config: (board, None))
+    monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
+    config = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
+    return {finding.what: finding for finding in check_shell.run_preflight(config, None)}["parameters"]
 
 
 class Told(obedient_board.Board):
@@ -282,6 +324,7 @@ def test_thrusters_are_turned_only_on_a_board_that_says_it_is_disarmed(
     """Somebody else may fly the robot: an agent of another fleet's name, or one whose station is off."""
     monkeypatch.setattr(check_shell, "open_board_link", lambda board: (Told(armed, late), None))
     monkeypatch.setattr(check_shell, "BOARD_WITHIN_S", 0.05)
+    monkeypatch.setattr(check_shell, "PARAMETERS_WITHIN_S", 0.05)
     monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
     turned: list[str] = []
 

@@ -4,6 +4,7 @@ import errno
 import itertools
 import os
 import pty
+import re
 import signal
 import socket
 import termios
@@ -15,7 +16,7 @@ import pytest
 
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink
-from shoal.mavlink.board_address import Address, parse_link
+from shoal.mavlink.board_address import BOARD_BAUD, DEFAULT_LINK, Address, parse_link
 from shoal.mavlink.board_port import READ_DATAGRAMS, SETTLE_S, SerialLink, UdpLink, open_link
 
 FRAME = AgentLink(1).heartbeat()
@@ -275,3 +276,12 @@ def test_a_flood_of_datagrams_does_not_hold_up_a_read() -> None:
             assert len(link.read()) == next(flood) == READ_DATAGRAMS
         finally:
             link.close()
+
+
+def test_firmware_manual_and_links_have_one_baud_rate() -> None:
+    root = Path(__file__).parents[3]
+    built = re.findall(r"^BAUD \?= (\d+)", (root / "firmware" / "Makefile").read_text(), re.M)
+    pages = [root / "README.md", root / "firmware" / "README.md", *(root / "docs").glob("*.md")]
+    named = [rate for page in pages for rate in re.findall(r"serial:/dev/\S+?:(\d+)\b", page.read_text())]
+    assert len(named) > 5
+    assert {*built, *named} == {str(BOARD_BAUD)} == {str(parse_link(DEFAULT_LINK).number)}
