@@ -102,7 +102,7 @@ class StationStop:
     reply: Reply | None = None
     trouble: str = "no answer"  # where there is no reply
     complaints: list[str] = field(default_factory=list)
-    heard: bool = False  # the station has answered
+    is_heard: bool = False  # the station has answered
     _thread: threading.Thread | None = None
     _settled: threading.Event = field(default_factory=threading.Event)  # it is heard, or never will be
 
@@ -114,7 +114,7 @@ class StationStop:
     def await_answer(self) -> bool:
         """Wait for the station's first answer. Returns whether there was one within HEARD_WITHIN_S."""
         self._settled.wait(HEARD_WITHIN_S)
-        return self.heard
+        return self.is_heard
 
     def await_end(self) -> None:
         """Wait for the outcome, or the end of the patience."""
@@ -145,7 +145,7 @@ class StationStop:
             def ask(command: Command) -> Reply:
                 reply = send(command)
                 if not reply.silent:
-                    self.heard = True
+                    self.is_heard = True
                     self._settled.set()
                 return reply
 

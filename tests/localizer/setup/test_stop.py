@@ -8,7 +8,7 @@ import pytest
 
 from groundstation.gate import user_folders
 from groundstation.station.discovery import announced
-from localizer.setup.server import _stop_fleet
+from localizer.setup.server import stop_fleet
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
@@ -25,7 +25,7 @@ def answers(outcome: Outcome) -> Callable[[Header, Command], Reply]:
 
 
 @pytest.mark.parametrize(
-    ("outcomes", "said"),
+    ("outcomes", "expected_words"),
     [
         ((DONE,), ["stop: confirmed by 1, 2"]),
         (
@@ -36,7 +36,10 @@ def answers(outcome: Outcome) -> Callable[[Header, Command], Reply]:
     ],
 )
 def test_stop_tells_the_outcome_of_every_station(
-    outcomes: tuple[Outcome, ...], said: list[str], tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+    outcomes: tuple[Outcome, ...],
+    expected_words: list[str],
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder: Path = tmp_path_factory.mktemp("s")
     monkeypatch.setenv(user_folders.ONLY, str(folder))
@@ -45,5 +48,5 @@ def test_stop_tells_the_outcome_of_every_station(
             bus = stack.enter_context(Bus(MemoryTransport(MemoryHub())))
             bus.serve(WHOLE_FLEET, answers(outcome))
             stack.enter_context(announced(Endpoint(f"tcp/127.0.0.1:{port}", router=True), "shoal", "pool", bus))
-        text = _stop_fleet()
-    assert all(part in text for part in said)
+        text = stop_fleet()
+    assert all(part in text for part in expected_words)

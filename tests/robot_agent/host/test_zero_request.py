@@ -124,8 +124,8 @@ def test_no_request_goes_to_an_autopilot_nor_to_a_robot_with_power(tmp_path: Pat
     write_request(tmp_path / zero_request.FILE, in_air=True)
     time.sleep(0.01)  # its time is rounded
     assert ZeroRequests(tmp_path).step(link, has_power) == b""
-    said = (tmp_path / zero_request.FILE).read_text(encoding="ascii")
-    assert said.startswith("refused the robot has power" if has_power else "refused autopilot 3")
+    answer = (tmp_path / zero_request.FILE).read_text(encoding="ascii")
+    assert answer.startswith("refused the robot has power" if has_power else "refused autopilot 3")
 
 
 @pytest.mark.parametrize(
