@@ -290,7 +290,8 @@ class Station:
         try:
             experiment = self.experiment
             uses_camera = experiment.localizer.uses_camera
-            what, for_s = read_request(text, experiment.robot_ids, experiment.camera_names, uses_camera)
+            thrusters = experiment.vehicle.thruster_channels
+            what, for_s = read_request(text, experiment.robot_ids, thrusters, experiment.camera_names, uses_camera)
         except ValueError as error:
             reason = str(error)
         else:

@@ -44,6 +44,7 @@ HEAD = struct.Struct("<If")
 
 # WebSocket close codes of our own
 TOO_MANY, ELSEWHERE, NOT_ALLOWED, BAD_REQUEST = 4001, 4002, 4003, 4000
+REASON_BYTES = 123  # of a closing connection (RFC 6455, section 5.5)
 
 T = TypeVar("T")
 
@@ -284,7 +285,7 @@ class ClientHub:
                 return
             except protocol.BadRequest as error:
                 log.warning("page: a message that is none of ours: %s", error)
-                await websocket.close(BAD_REQUEST, str(error)[:100])
+                await websocket.close(BAD_REQUEST, str(error).encode()[:REASON_BYTES].decode(errors="ignore"))
                 return
             self._lease.note_life(watcher.id, time.monotonic())
             self._take(watcher, request)

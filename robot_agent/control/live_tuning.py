@@ -76,4 +76,6 @@ class LiveTuning:
         wanted = self._adoption
         if wanted is not None and now_ns >= wanted.at_ns and reached_s >= wanted.trajectory_s:
             self._controller.adopt_gains(wanted.tuned)
-            self.id, self._ready, self._adoption = wanted.id, None, None
+            self.id, self._adoption = wanted.id, None
+            if self._ready is not None and self._ready[0] == wanted.id:  # else a later one has been prepared since
+                self._ready = None

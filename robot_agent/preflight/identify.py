@@ -70,10 +70,11 @@ def toml(curve_fit: ThrustFit, vehicle: str, largest_n: float, readings: int) ->
 
 def write_curve(session: ParameterSession, curve_fit: ThrustFit) -> int:
     """Set the curve's parameters on the board; returns how many were changed. A value that does not fit the others yet is
-    tried again when others have changed. Raises ConfigError if one is refused for good, or if the board's curve has another
-    number of points."""
+    tried again when others have changed. Raises ConfigError if one is refused for good, if the board's curve has another
+    number of points, or if the board does not tell all that it has."""
     client = session.client
-    session.until(lambda: client.complete, client.ask_all)
+    if not session.until(lambda: client.complete, client.ask_all):
+        raise ConfigError(f"the board told {len(client.values)} parameters, and then no more: nothing of it was changed")
     rows = sum(name.startswith("CRV") and name.endswith("_US") for name in client.values)
     if rows != len(curve_fit.curve):
         raise ConfigError(

@@ -17,7 +17,9 @@ BOARD_DISOBEYS_S = 0.2  # of the last second: an echo or two may be lost; a thru
 BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
 LATE_S = 0.15  # so much more of the time steps are late than in time: three steps at 20 Hz, as many as a plan may bridge
 DRIVE_LASTS_S = 0.5  # a DRIVE counts for this long; the station sends one every control period
-DOUBT_S = 0.25  # a marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s
+# A marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s. Where older poses are good
+# enough (safety.pose_hold_s), so are older readings of a marker.
+DOUBT_S = 0.25
 
 UNDER_WAY = frozenset({Mode.TRACKING, Mode.DRIVEN})  # modes that a robot leaves for HOLDING when it should not go on
 POWERED = UNDER_WAY | {Mode.HOLDING}  # modes that put out thrust
@@ -140,7 +142,7 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("station silent", LIVE, lambda h, s: h.station_age_s > s.station_neutral_s, Mode.FAULT),
     Reaction("station late", UNDER_WAY, lambda h, s: h.station_age_s > s.station_hold_s, Mode.HOLDING),
     Reaction("pose late", UNDER_WAY, lambda h, s: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
-    Reaction("identity in doubt", UNDER_WAY, lambda h, s: h.identity_age_s > DOUBT_S, Mode.HOLDING),
+    Reaction("identity in doubt", UNDER_WAY, lambda h, s: h.identity_age_s > max(DOUBT_S, s.pose_hold_s), Mode.HOLDING),
     Reaction("position leapt", UNDER_WAY, lambda h, s: h.leap != "", Mode.HOLDING, lambda h: h.leap),
     _watched("gives way for too long", frozenset({Mode.TRACKING}), Mode.HOLDING),
     Reaction("no drive command", frozenset({Mode.DRIVEN}), lambda h, s: h.drive_age_s > DRIVE_LASTS_S, Mode.HOLDING),

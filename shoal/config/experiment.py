@@ -215,7 +215,7 @@ class Experiment(Section):
         processes = ("groundstation", "sim-bridge", *localizers, *(f"agent-{robot}" for robot in self.robot_ids))
         for i, fault in enumerate(self.sim.faults):
             broken = fault.broken
-            if reason := no_target(broken, self.robot_ids, self.camera_names):
+            if reason := no_target(broken, self.robot_ids, self.vehicle.thruster_channels, self.camera_names):
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: {reason}")
             if broken.process and broken.process not in processes:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no such process (allowed: {', '.join(processes)})")

@@ -15,9 +15,8 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from shoal.config.loader import Section
+from shoal.config.vehicle import OUTPUTS
 from shoal.errors import ConfigError
-
-THRUSTERS = 4
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
     "thruster": (
         "ROBOT/THRUSTER",
         {
-            "dead": Effect("the thruster gives no thrust; 1 to 4 in the vehicle file's order"),
+            "dead": Effect("the thruster gives no thrust; the number is its board's output: legs have 1 to 4"),
             "stuck": Effect("it keeps the pulse that it has"),
             "reversed": Effect("it pushes the other way"),
             "weak": Effect("it gives a part of its thrust", "fraction of its thrust", 0.5, 0.0, 1.0),
@@ -119,7 +118,7 @@ class Break:
     effect: str
     value: float = 0.0
     robot: int = 0  # 0: none
-    thruster: int = 0  # 1 to 4, in the vehicle file's order
+    thruster: int = 0  # the board's output that it is on, from 1: legs are 1 to 4 in the vehicle file's order
     process: str = ""
     place_m: tuple[float, float] = (0.0, 0.0)  # of a ball
     camera: str = ""  # one of several cameras; "": all of them
@@ -150,35 +149,40 @@ def read_what(text: str) -> Break:
         robot, thruster = (int(number) for number in (*match.groups(), "0")[:2])
     if target.startswith("ROBOT") and robot < 1:
         raise ValueError(f"robot {robot}: no robot has this number (allowed: 1 and more)")
-    if target == "ROBOT/THRUSTER" and not 1 <= thruster <= THRUSTERS:
-        raise ValueError(f"thruster {thruster} of robot {robot}: no such thruster (allowed: 1 to {THRUSTERS})")
+    if target == "ROBOT/THRUSTER" and not 1 <= thruster <= OUTPUTS:
+        raise ValueError(f"thruster {thruster} of robot {robot}: no such thruster (allowed: 1 to {OUTPUTS})")
     return Break(kind, words[0], value, robot, thruster, process, place_m, camera)
 
 
 BY_HAND = "by hand: "  # begins the log's line about a fault that a person made, written as --fault takes it
 
 
-def no_target(broken: Break, robots: Collection[int], cameras: Sequence[str]) -> str:
-    """Reason for which nothing here can break so: no such robot, or none of several `cameras`; empty if it can."""
+def no_target(broken: Break, robots: Collection[int], thrusters: Collection[int], cameras: Sequence[str]) -> str:
+    """Reason for which nothing here can break so: no such robot, none of its `thrusters`, or none of several `cameras`; empty
+    if it can."""
     if broken.robot and broken.robot not in robots:
         return f"no robot {broken.robot} (allowed: {', '.join(map(str, robots))})"
+    if broken.thruster and broken.thruster not in thrusters:
+        allowed = ", ".join(map(str, thrusters))
+        return f"thruster {broken.thruster} of robot {broken.robot}: no such thruster (allowed: {allowed})"
     if broken.camera and broken.camera not in cameras:
         return f"no camera {broken.camera!r} (allowed: {', '.join(cameras) or 'no name: there is one camera'})"
     return ""
 
 
 def read_request(
-    text: str, robots: Collection[int], cameras: Sequence[str] = (), uses_camera: bool = True
+    text: str, robots: Collection[int], thrusters: Collection[int], cameras: Sequence[str] = (), uses_camera: bool = True
 ) -> tuple[str, float]:
     """Read a person's `thruster 2/3 dead for 5`: what breaks, and for how long in s (0: for ever); of `repair` nothing.
-    `cameras`: names of several; `uses_camera` False: there is none. Raises ValueError that says what is allowed."""
+    `thrusters`: those of each robot; `cameras`: names of several; `uses_camera` False: there is none. Raises ValueError that
+    says what is allowed."""
     what, _, during = text.strip().partition(" for ")
     if what == "repair":
         return "", 0.0
     broken = read_what(what)
     if broken.kind in OF_PROCESSES or (broken.kind, broken.effect) == ("water", "low"):
         raise ValueError(f"{what}: only by the timeline, with --fault before the run")
-    if reason := no_target(broken, robots, cameras):
+    if reason := no_target(broken, robots, thrusters, cameras):
         raise ValueError(f"{what}: {reason}")
     if broken.kind in SEEN and not uses_camera:
         raise ValueError(f"{what}: no camera sees it in this run (localizer.uses_camera)")

@@ -16,8 +16,8 @@ SHAPES: tuple[Shape, ...] = get_args(Shape)
 
 def shape_nodes(shape: Shape, count: int, spacing_m: float) -> Array:
     """Nodes (count, 3) in m around their mean, the nearest two of them `spacing_m` apart."""
-    if count == 1:
-        return np.zeros((1, 3))
+    if count <= 1:
+        return np.zeros((count, 3))
     match shape:
         case "line":
             nodes = np.arange(count) + 0j

@@ -322,6 +322,11 @@ class Vehicle(Section):
         return LEGS if self.legs is not None else OUTPUTS
 
     @property
+    def thruster_channels(self) -> tuple[int, ...]:
+        """The board's outputs, from 1, that have a thruster."""
+        return tuple(range(1, LEGS + 1)) if self.legs is not None else tuple(sorted(t.channel for t in self.thrusters))
+
+    @property
     def thruster_places(self) -> list[list[float]]:
         """Place m and direction of each thruster by output, as in `thruster_table`; a leg's is ahead, with its ankle level."""
         if self.legs is None:

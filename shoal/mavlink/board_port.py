@@ -201,7 +201,7 @@ class SerialLink:
             if data and self._port is not None:
                 self._note_bytes(self._port, data, time.monotonic())
             return data
-        except (OSError, serial.SerialException):
+        except (OSError, serial.SerialException, termios.error):  # the last: pulled out as its rate was being set
             self._drop()
             return b""
 

@@ -16,7 +16,7 @@ import numpy as np
 from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
-from shoal.config.fault_injection import BY_HAND
+from shoal.config.fault_injection import BY_HAND, read_request
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
@@ -134,11 +134,19 @@ class PoolNode:
         self._sockets.deliver(world)
 
     def _fault(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        """Take a person's request. The station has checked it."""
+        """Take a person's request. The station has checked it, by its experiment."""
+        experiment = self._experiment
         try:
-            self._requests.append(decode(FaultRequest, payload, key, topic.name))
-        except DecodeError as error:
-            log.warning("a fault that cannot be read: %s", error)
+            request = decode(FaultRequest, payload, key, topic.name)
+            if request.what:
+                thrusters, uses_camera = experiment.vehicle.thruster_channels, experiment.localizer.uses_camera
+                text = f"{request.what} for {request.for_s!r}" if request.for_s else request.what
+                names = experiment.camera_names
+                request = FaultRequest(*read_request(text, experiment.robot_ids, thrusters, names, uses_camera))
+        except (DecodeError, ValueError) as error:
+            log.warning("a fault that cannot be made: %s", error)
+        else:
+            self._requests.append(request)
 
     def _detect_start(self, world: World, begin_ns: int) -> None:
         """Find the instant at which the formation's trajectories began, from which faults count. A robot that is sent

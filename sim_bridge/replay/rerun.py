@@ -15,6 +15,7 @@ from groundstation.logs.reader import LogMessage
 from robot_agent.agent import Agent
 from robot_agent.step_record import inputs_of, station_view
 from shoal.config.experiment import Experiment
+from shoal.config.vehicle import OUTPUTS
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import CommandTaken, Event, Message, Obstacles, Plan, RobotState, StepInputs
@@ -44,6 +45,7 @@ class Rerun:
         self._session, self._next = 0, 0
         self._commands: deque[tuple[int, CommandTaken]] = deque()
         self._kept: dict[tuple[Topic, int], deque[_SeenMessage]] = {}
+        self._is_other_vehicle = False  # and a person has been told
 
     def run(self, lines: Iterable[LogMessage]) -> Iterator[Again]:
         """Yield states and plans of the repeated steps, and an event for each gap in the log."""
@@ -61,10 +63,25 @@ class Rerun:
                 yield from self._begin(message, header)
                 yield from self._step(message, header.stamp_ns)
             elif isinstance(message, RobotState):
-                self.agent.note_sent(message, header.stamp_ns)
+                yield from self._note_sent(message, header.stamp_ns)
             else:
                 kept = self._kept.setdefault((line.topic, line.robot), deque(maxlen=KEPT))
                 kept.append(_SeenMessage(header.session, header.sequence, message))
+
+    def _note_sent(self, state: RobotState, now_ns: int) -> Iterator[Again]:
+        """Have the agent assume that a logged state's pulses went out, if its vehicle can have put them out."""
+        vehicle, control = self._experiment.vehicle, state.control
+        slowest, fastest = vehicle.thruster.curve[0][0], vehicle.thruster.curve[-1][0]
+        pulses = state.pulse_us[: vehicle.thruster_count]
+        shape = (len(vehicle.limits.wrench),)
+        fits = len(state.pulse_us) == OUTPUTS and all(slowest <= pulse <= fastest for pulse in pulses)
+        if fits and (control is None or control.wrench.shape == control.wrench_delivered.shape == shape):
+            self.agent.note_sent(state, now_ns)
+        elif not self._is_other_vehicle:
+            self._is_other_vehicle = True
+            yield self._missing(
+                "the log has pulses or wrenches that this vehicle does not have: its own count instead", now_ns
+            )
 
     def _begin(self, record: StepInputs, header: Header) -> Iterator[Again]:
         """Start a new agent where the robot's process started one."""

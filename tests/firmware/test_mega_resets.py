@@ -16,7 +16,7 @@ pytestmark = pytest.mark.long
 NEUTRAL_US, THRUST_S = 1500.0, 0.3  # of thrust that nobody asked for, at the most
 DEPTH_M, BIAS_RADPS = 1.0, 0.05
 FIRST_WORD_S = 1.5  # of a board with the stock bootloader, if nothing is sent to it
-KEY = Key(bytes(range(1, 33)))
+KEY, NEW_KEY = Key(bytes(range(1, 33))), Key(bytes(range(33, 65)))
 OLD, NEW = 4000.0, 4321.0  # of the parameter that is set
 CUTS, MANY_CUTS, LONGEST_S = 6, 1000, 1.2  # power cuts, and when after an order: a record of settings takes 0.9 s
 BROWN_OUTS = 0.3  # of the cuts: the RAM and a byte that is being written outlive them
@@ -193,9 +193,9 @@ class CutBoard:
         self._keyed = self.mega.eeprom
         self.phases_us: set[int] = set()  # of the cuts, in a step of the computer's
 
-    def cut(self, draw: random.Random) -> tuple[bool, bool, float]:
+    def cut(self, draw: random.Random) -> tuple[bool, bool, float, list[Key]]:
         """Orders, a loss of power at a random instant, and all that was sent once more. Returns whether the board was armed
-        before, and after, and the parameter's value."""
+        before, and after, the parameter's value, and the keys with which the board answers."""
         mega, stamp = self.mega, 100_000
         mega.lose_power()
         mega.eeprom = self._keyed
@@ -214,6 +214,7 @@ class CutBoard:
             lambda: client.set("SLEW_US_S", NEW),
             lambda: pilot.link.arm(True),
             pilot.link.calibrate,
+            lambda: client.give(NEW_KEY, stamp),
         ]
         order = draw.choice(orders)
         cut_s = draw.uniform(0.0, LONGEST_S)
@@ -237,25 +238,36 @@ class CutBoard:
                 pilot.now_ns += STEP_NS
                 listener.receive(mega.step(pilot.now_ns), pilot.now_ns)
         armed_again = listener.telemetry.armed
-        stamp = 10_000_000
-        for _ in range(40):
-            mega.receive(client.ask("SLEW_US_S"), 0)
-            for _ in range(4):
-                pilot.now_ns += STEP_NS
-                client.receive(mega.step(pilot.now_ns), pilot.now_ns)
-            if "SLEW_US_S" in client.values:
-                break
-        return armed, armed_again, client.values["SLEW_US_S"]
+        return armed, armed_again, *self._kept(pilot)
+
+    def _kept(self, pilot: Pilot) -> tuple[float, list[Key]]:
+        """The parameter's value, and the keys with which the board answers."""
+        values = dict[Key, float]()
+        for key in (KEY, NEW_KEY):
+            client = ParameterClient(1, key, lambda: 10_000_000)
+            for _ in range(40):
+                self.mega.receive(client.ask("SLEW_US_S"), 0)
+                for _ in range(4):
+                    pilot.now_ns += STEP_NS
+                    client.receive(self.mega.step(pilot.now_ns), pilot.now_ns)
+                if "SLEW_US_S" in client.values:
+                    values[key] = client.values["SLEW_US_S"]
+                    break
+                if values:
+                    break
+        return next(iter(values.values())), list(values)
 
 
 def cut_often(count: int) -> None:
-    board, draw, armed = CutBoard(), random.Random(4), 0
+    board, draw, armed, changed_keys = CutBoard(), random.Random(4), 0, 0
     for at in range(count):
-        before, again, value = board.cut(draw)
+        before, again, value, keys = board.cut(draw)
         assert not (before and again), at
         assert value in (OLD, NEW), at
-        armed += before
+        assert len(keys) == 1, at
+        armed, changed_keys = armed + before, changed_keys + (keys == [NEW_KEY])
     assert armed > count // 20  # some orders had come through
+    assert count <= CUTS or changed_keys > count // 20
     assert len(board.phases_us) > count // 2
     assert board.mega.eeprom_counts()[1] == 0  # none of its bytes was touched while one was being written
     board.mega.close()

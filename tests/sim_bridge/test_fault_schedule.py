@@ -260,13 +260,13 @@ def test_a_fault_by_hand_is_over_in_time_also_before_the_robots_start() -> None:
 )
 def test_a_fault_by_hand_that_cannot_be_is_refused_with_what_can(text: str, why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        read_request(text, (1, 2), ("east", "west"))
+        read_request(text, (1, 2), (1, 2, 3, 4), ("east", "west"))
 
 
 @pytest.mark.parametrize("text", ["camera dark", "marker 1 lost for 5"])
 def test_without_a_camera_nothing_that_only_one_sees_is_broken(text: str) -> None:
     with pytest.raises(ValueError, match="no camera sees it in this run"):
-        read_request(text, (1, 2), uses_camera=False)
+        read_request(text, (1, 2), (1, 2, 3, 4), uses_camera=False)
 
 
 def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: Path) -> None:

@@ -189,6 +189,15 @@ def test_no_command_ends_in_a_traceback(tmp_path: Path, name: str) -> None:
         assert done.exception is None or isinstance(done.exception, SystemExit | ConfigError), (command, done.exception)
 
 
+@pytest.mark.parametrize(("log_ns", "stamp_ns"), [(1 << 63, 5), (5, 1 << 63)])
+def test_either_instant_that_no_clock_shows_damages_its_message(log_ns: int, stamp_ns: int) -> None:
+    with pytest.raises(Damaged, match="no clock of ours shows that"):
+        log_records.message(struct.pack("<HIQQ", 1, 1, log_ns, stamp_ns))
+    latest_ns = (1 << 63) - 1
+    log_ns, stamp_ns = min(log_ns, latest_ns), min(stamp_ns, latest_ns)
+    assert log_records.message(struct.pack("<HIQQ", 1, 1, log_ns, stamp_ns)) == (1, 1, log_ns, stamp_ns, b"")
+
+
 def test_an_odd_record_does_not_keep_a_log_from_being_mended(tmp_path: Path) -> None:
     """A channel of a schema that is not there, and a message of a channel that is not."""
     path = tmp_path / "run.mcap"

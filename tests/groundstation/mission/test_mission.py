@@ -157,6 +157,19 @@ def test_time_zero_of_a_flight_stays_when_it_is_held_and_resumed_and_is_new_with
     assert run.mission.began_ns > began_ns + 2 * 10**9
 
 
+def test_a_fleet_that_is_ready_waits_for_a_person_without_a_reason() -> None:
+    """A reason to wait is something that a person has to mend first."""
+    run = MissionRun(automatic=False)
+    run.robots[2].unknown = True
+    run.step()
+    assert run.at(MissionState.WAITING) and "robot 2" in run.mission.reason
+    run.robots[2].unknown = False
+    for is_out in (True, False):  # a person's hand in it is no reason either: here it is always a person who starts
+        run.mission.note_water(2, is_out)
+    run.step()
+    assert run.at(MissionState.WAITING) and run.mission.reason == ""
+
+
 def test_a_start_that_is_held_begins_at_the_beginning_after_an_earlier_flight_of_the_same_path() -> None:
     """Robots still have the trajectory, and their clocks stand where the earlier flight ended."""
     run = running(automatic=False)

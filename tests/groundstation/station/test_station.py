@@ -24,6 +24,7 @@ from groundstation.mission.roster import Leader
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
+from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
 from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station, workers
@@ -32,7 +33,7 @@ from groundstation.web.alarms import alarms
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus, Inbox
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
-from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
@@ -57,6 +58,7 @@ from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.runtime import Stop, WallClock, run_steps, wait
 from shoal.runtime.version import code
 from sim_bridge.lockstep.clock import LockstepClock
+from tests.groundstation.mission.mission_run import ObedientRobot
 from tests.waiting import eventually
 
 FRESH = StepTiming(board_age_ms=20.0)
@@ -402,6 +404,23 @@ def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
         assert not refused.accepted and refused.outcome is None
         nothing = station.on_operator_command(Header(9, 4, 0), Command(CommandKind.NONE, WHOLE_FLEET))
         assert not nothing.accepted
+
+
+def test_a_draft_is_planned_as_its_request_would_be_and_refused_for_the_same_reason(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        station.views = {robot: ObedientRobot(station.experiment).view() for robot in (1, 2)}
+        before, text = station.mission.segment, dump_experiment(load_experiment("figure-eight", ["duration_s=40"]))
+        drafted = station.draft(CommandKind.PATH, text)
+        planned = first_segment(with_flight(station.experiment, text)).trajectories
+        assert all(np.array_equal(drafted.trajectories[r].eta, planned[r].eta) for r in planned)
+        for order, what, reason in (
+            (CommandKind.PATH, dump_experiment(load_experiment("straight")), "it is for robots 1; here are 1, 2"),
+            (CommandKind.FORMATION, "order 2,2", "each once"),
+        ):
+            with pytest.raises(PlanError, match=reason):
+                station.draft(order, what)
+            assert reason in station.request(order, text=what)[0]
+        assert station.mission.segment is before and station.mission.plan_request is None
 
 
 def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_everybody(tmp_path: Path) -> None:

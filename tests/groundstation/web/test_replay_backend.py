@@ -1,23 +1,26 @@
 """A recorded run on the operator's page: what was logged at a time is what is shown for it, however one gets there."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from groundstation.logs.reader import LogFile, LogMessage
 from groundstation.logs.recorder import Recorder
 from groundstation.planning.planner import plan
 from groundstation.planning.segment import concatenate
 from groundstation.web.protocol import Edit
-from groundstation.web.replay_backend import ReplayBackend
+from groundstation.web.replay_backend import FRAME_S, ReplayBackend
 from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import BoardReading, CommandKind, Event, Mode, Plan, Preview, RobotState, StepTiming, Trajectory
+from shoal.messages.topics import Topic
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
 
 SECOND = 1_000_000_000
@@ -65,6 +68,49 @@ def test_seeking_shows_the_states_of_that_time(replay: ReplayBackend, order: tup
             assert robot["age_ms"] == pytest.approx(1.3, abs=0.1)  # 0.3 ms of it are its step
             expected = np.add(tracking_error(robot["id"], flown_s)[:2], POSE_OFFSET_M)  # the estimate's own offset
             np.testing.assert_allclose(error_m(robot), expected, atol=1e-6)
+
+
+def test_a_state_is_shown_from_the_last_seconds_of_the_log_which_are_read_once(
+    replay: ReplayBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The log of an hour takes too long to read for each state."""
+    begins: list[int] = []
+    messages = LogFile.messages
+
+    def read(
+        log: LogFile, wanted: Callable[[Topic, int], bool], from_ns: int = 0, before_ns: int = 1 << 64
+    ) -> Iterator[LogMessage]:
+        begins.append(from_ns)
+        return messages(log, wanted, from_ns, before_ns)
+
+    monkeypatch.setattr(LogFile, "messages", read)
+    at(replay, 0.0)
+    start_ns = min(begins)
+    begins.clear()
+    at(replay, 28.5)
+    assert 0 < len(begins) <= 6 and min(begins) >= start_ns + 23 * SECOND
+    begins.clear()
+    at(replay, 28.5)
+    assert begins == []
+
+
+def test_a_replay_that_stands_shows_one_state_and_one_that_plays_goes_on_by_its_pace(replay: ReplayBackend) -> None:
+    """Another state is sent to every page that watches."""
+    replay.seek(3.0, 0.0)
+    assert replay.changed() and replay.snapshot()["replay"]["time_s"] == pytest.approx(3.0)
+    time.sleep(2 * FRAME_S)
+    assert not replay.changed() and replay.snapshot()["replay"]["time_s"] == pytest.approx(3.0)
+    began_s = time.monotonic()
+    replay.seek(None, 4.0)
+    assert replay.changed()
+    time.sleep(2 * FRAME_S)
+    assert replay.changed()
+    least_s = 4.0 * (time.monotonic() - began_s)
+    shown_s = replay.snapshot()["replay"]["time_s"] - 3.0
+    assert least_s - 1e-3 <= shown_s <= 4.0 * (time.monotonic() - began_s) + 1e-3
+    replay.seek(1e6, None)
+    at_end = [replay.snapshot()["replay"]["time_s"] for _ in range(2)]
+    assert at_end[0] == at_end[1] == replay.scene()["replay"]["end_s"]
 
 
 def test_missing_and_old_messages_are_not_shown_as_present(run: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import json
+import logging
 import os
 import select
 import socket
@@ -396,6 +397,30 @@ def test_pages_that_introduce_themselves_at_once_are_no_more_than_allowed(
         page.hello()
     with pytest.raises(ConnectionClosed, match="2 pages are open already"):
         pages[2].hello()
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("{", "Input data was truncated"),
+        (json.dumps({"kind": "dance"}), "Invalid value 'dance' - at `$.kind`"),
+        (json.dumps({"kind": "舞" * 90}, ensure_ascii=False), "Invalid value '舞"),
+    ],
+)
+def test_a_message_that_is_no_request_ends_its_page_with_the_reason(
+    lab: ServedStation, caplog: pytest.LogCaptureFixture, text: str, reason: str
+) -> None:
+    """Some characters of it are several bytes, and the reason of a closing connection has room for 123."""
+    page, other = lab.open(), lab.open()
+    page.hello()
+    page.socket.send(text)
+    with pytest.raises(ConnectionClosed) as closed:
+        page.until(lambda frame: False)
+    assert closed.value.rcvd is not None and closed.value.rcvd.code == 4000
+    assert closed.value.rcvd.reason.startswith(reason)
+    messages = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(messages) == 1 and messages[0].startswith(f"page: a message that is none of ours: {reason}")
+    other.hello()
 
 
 def test_a_private_key_that_others_can_read_is_refused_at_start(lab: ServedStation, tmp_path: Path) -> None:

@@ -70,3 +70,14 @@ def test_adopt_of_the_flown_set_takes_back_one_that_waits(gains: LiveTuning) -> 
     assert give(gains, adopt(1.0)) == ""
     gains.step(10**12, 10**6)
     assert gains.id == tuning(POOL.controller).id
+
+
+def test_a_set_that_is_prepared_while_another_one_waits_stays_ready(gains: LiveTuning) -> None:
+    """Of two people who change gains, or of one who does so again during the lead."""
+    assert give(gains, tune(1.1)) == "" and give(gains, adopt(1.1, start_in_s=2.0)) == ""
+    assert give(gains, tune(1.2)) == ""
+    gains.step(2_000_000_000, 0.0)
+    assert gains.id == tuning(other_gains(1.1)).id
+    assert give(gains, adopt(1.2)) == ""
+    gains.step(2_000_000_000, 0.0)
+    assert gains.id == tuning(other_gains(1.2)).id

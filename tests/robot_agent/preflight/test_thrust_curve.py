@@ -12,10 +12,14 @@ from scipy.optimize import isotonic_regression
 from typer.testing import CliRunner
 
 from robot_agent.__main__ import cli
+from robot_agent.host.params import ParameterSession
+from robot_agent.preflight.identify import write_curve
 from robot_agent.preflight.thrust_curve import ThrustReading, fit, interpolate, read_rows
 from shoal.config.experiment import load_experiment
 from shoal.config.vehicle import load_vehicle
 from shoal.errors import ConfigError
+from shoal.mavlink.board_port import UdpLink
+from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.sil.ports import free_port
 from tests.sim_bridge.boards import board
 
@@ -98,6 +102,16 @@ def test_command_prints_what_an_experiment_takes(tmp_path: Path) -> None:
     assert printed["thruster"]["max_thrust_n"] == pytest.approx(0.8 * 3.0, abs=0.05)
     missing = CliRunner().invoke(cli, ["identify", "thrust", str(tmp_path / "none.csv")])
     assert "none.csv" in str(missing.exception)
+
+
+def test_a_board_that_tells_a_part_of_its_parameters_is_not_taken_for_one_with_a_shorter_curve(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session = ParameterSession(UdpLink("127.0.0.1", free_port(SOCK_DGRAM)), ParameterClient(1))
+    monkeypatch.setattr(session, "until", lambda done, ask: False)
+    session.client.values["CRV01_US"] = 1100.0
+    with pytest.raises(ConfigError, match="the board told 1 parameters, and then no more: nothing of it was changed"):
+        write_curve(session, fit(read_rows(measured(), "scale.csv"), "scale.csv", 12, 0.03))
 
 
 @pytest.mark.real_time

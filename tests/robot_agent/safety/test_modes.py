@@ -49,6 +49,13 @@ def test_a_robot_that_may_be_another_holds() -> None:
     assert after(Mode.HOLDING, identity_age_s=9.0) is Mode.HOLDING
 
 
+def test_where_older_poses_are_good_enough_a_robot_does_not_hold_for_doubt_of_a_pose_that_is_not_late() -> None:
+    safety = load_experiment("pool", ["safety.pose_hold_s=0.4"]).safety
+    for age_s, wanted in ((0.39, (Mode.TRACKING, "")), (0.41, (Mode.HOLDING, "pose late"))):
+        assert react(Mode.TRACKING, WELL._replace(pose_age_s=age_s, identity_age_s=age_s), safety) == wanted
+    assert react(Mode.TRACKING, WELL._replace(identity_age_s=0.41), safety) == (Mode.HOLDING, "identity in doubt")
+
+
 def test_a_silent_station_means_hold_after_1_s_neutral_after_3_disarmed_after_10() -> None:
     assert after(Mode.TRACKING, station_age_s=0.9) is Mode.TRACKING
     assert after(Mode.TRACKING, station_age_s=1.1) is Mode.HOLDING

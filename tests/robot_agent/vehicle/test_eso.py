@@ -10,7 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import COAST_NS, EsoSettings, Estimator, correct, gains, gains_with_rate
+from robot_agent.vehicle.eso import (
+    COAST_NS,
+    EsoSettings,
+    Estimator,
+    Samples,
+    correct,
+    gains,
+    gains_with_rate,
+    sensed_at,
+)
 from robot_agent.vehicle.estimate import Observation, PoseMeasurement, StateMeasurement
 from shoal.config.controller import EstimatorConfig
 from shoal.config.vehicle import load_vehicle
@@ -379,3 +388,11 @@ def test_the_correction_is_equation_31_in_matrices(seed: int) -> None:
     off = error[2] if math.isnan(rate_radps) else rate_radps - belief[7]
     expected[[3, 7, 14]] += np.array(yaw_gains) * [error[2], off, on * off]
     assert state == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_late_pose_finds_what_the_board_measured_then_in_the_fastest_loop_too() -> None:
+    """One sample per step of 10 ms: 0.8 s ago they had other values than the oldest of the last few."""
+    at_ns = 10_000_000 * np.arange(1, 121, dtype=np.int64)
+    samples = Samples(at_ns, np.stack([at_ns * 1e-9, -at_ns * 1e-9], axis=1), len(at_ns))
+    for column, sign in ((0, 1.0), (1, -1.0)):
+        assert sensed_at(samples, column, 405_000_000) == pytest.approx(sign * 0.405)

@@ -479,6 +479,18 @@ def test_a_second_process_of_a_name_is_refused(fleet_with_agent: tuple[Bus, "sub
     bus.claim("agent-2", bool)
 
 
+def test_a_program_that_fails_has_left_the_fleet_and_its_name_is_free() -> None:
+    hub = MemoryHub()
+    watcher = Bus(MemoryTransport(hub))
+    watcher.watch_presence()
+    with pytest.raises(ZeroDivisionError), Bus(MemoryTransport(hub)) as bus:
+        bus.announce("agent-1")
+        assert eventually(lambda: "agent-1" in watcher.present)
+        raise ZeroDivisionError
+    assert bus.closed and eventually(lambda: "agent-1" not in watcher.present)
+    watcher.claim("agent-1", lambda: False)
+
+
 def test_a_program_that_is_stopped_while_a_name_is_taken_does_not_get_it(caplog: pytest.LogCaptureFixture) -> None:
     """Else a second agent that waits, and is ended by Ctrl-C, would disarm the board of the first one on its way out."""
     hub, stopped = MemoryHub(), threading.Event()

@@ -241,6 +241,12 @@ def test_values_that_do_not_go_together(setting: str, complaint: str) -> None:
     assert str(EXPERIMENTS / "pool.toml") in str(caught.value) or f"--set {setting}: " in str(caught.value)
 
 
+@pytest.mark.parametrize("formation", ["formation.shape=line", "formation.shape=circle"])
+def test_a_formation_by_name_of_no_robots_is_refused_for_the_robots(formation: str) -> None:
+    with pytest.raises(ConfigError, match=r"robots = .*at least 1"):
+        load_experiment("pool", [formation, "robots=[]"])
+
+
 def test_a_mistake_in_a_setting_is_told_of_the_setting_and_not_of_the_file() -> None:
     with pytest.raises(ConfigError) as caught:
         load_experiment("pool", ["seed=1", "duration=5", "path.lap_s=-1"])

@@ -5,6 +5,7 @@ import pytest
 from shoal.config.experiment import load_experiment
 from shoal.config.fault_injection import Break, fault_table, read_what
 from shoal.errors import ConfigError
+from sim_bridge.fault_schedule import FaultSchedule
 
 
 @pytest.mark.parametrize(
@@ -29,6 +30,15 @@ def test_fault_texts_that_are_understood(text: str, meaning: Break) -> None:
     assert load_experiment("pool", faults=[f"t=3 {text}"]).sim.faults[0].broken == meaning
 
 
+def test_each_thruster_of_a_vehicle_with_eight_can_break_and_no_ninth() -> None:
+    experiment = load_experiment("pool", ["vehicle=vectored"], ["t=1 thruster 1/7 dead"])
+    schedule = FaultSchedule(experiment)
+    schedule.at(2.0)
+    assert schedule.actuators.thrust[0].tolist() == [1.0] * 6 + [0.0, 1.0]
+    with pytest.raises(ConfigError, match="allowed: 1 to 8"):
+        load_experiment("pool", ["vehicle=vectored"], ["t=1 thruster 1/9 dead"])
+
+
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [
@@ -43,7 +53,7 @@ def test_fault_texts_that_are_understood(text: str, meaning: Break) -> None:
         ),
         ("t=1 thruster 2 dead", "must read: thruster ROBOT/THRUSTER dead|stuck|reversed|weak [fraction of its thrust]"),
         ("t=1 thruster 2/3", "must read: thruster"),
-        ("t=1 thruster 2/5 dead", "thruster 5 of robot 2: no such thruster (allowed: 1 to 4)"),
+        ("t=1 thruster 2/5 dead", "thruster 5 of robot 2: no such thruster (allowed: 1, 2, 3, 4)"),
         ("t=1 thruster 0/2 dead", "robot 0: no robot has this number"),
         ("t=1 link 0 cut", "robot 0: no robot has this number"),
         ("t=1 thruster 2/3 dead 4", "must read: thruster"),

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink
@@ -214,6 +215,31 @@ def test_a_board_that_is_pulled_out_while_its_port_is_being_opened_is_just_not_t
     try:
         assert link.trouble
         link.send(b"x")
+        assert link.read() == b""
+    finally:
+        link.close()
+
+
+def test_a_board_that_is_pulled_out_while_a_rate_is_being_tried_is_just_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller, device = pty.openpty()
+    link = open_link(f"serial:{os.ttyname(device)}:57600")
+    os.close(device)
+    pulled = list[int]()
+
+    def pulled_and_flushed(port: serial.Serial) -> None:
+        os.close(controller)
+        pulled.append(controller)
+        termios.tcflush(port.fileno(), termios.TCIFLUSH)
+
+    monkeypatch.setattr(serial.Serial, "reset_input_buffer", pulled_and_flushed)
+    time.sleep(SETTLE_S)
+    try:
+        deadline = time.monotonic() + 10.0
+        while not pulled and time.monotonic() < deadline:
+            os.write(controller, b"no frame")
+            link.wait(0.05)
+            link.read()
+        assert pulled and link.trouble
         assert link.read() == b""
     finally:
         link.close()

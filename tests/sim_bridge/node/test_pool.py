@@ -4,6 +4,7 @@ import logging
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -58,19 +59,26 @@ def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
 
 @pytest.mark.timeout(60)
 def test_a_fault_by_hand_is_logged_in_words_that_repeat_it(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """By the log's lines, as `sim-bridge sil --from` takes them."""
+    """By the log's lines, as `sim-bridge sil --from` takes them. A fault that there cannot be is left out, and told: the
+    station may have another experiment."""
     caplog.set_level(logging.INFO, "shoal")
     experiment, lines = load_experiment("pool", ["sim.latency_s=0", ROBOT]), list[str]()
     hub, stop = MemoryHub(), Stop(install=False)
     person, clock = Bus(MemoryTransport(hub)), WallClock()
 
+    def ask() -> None:
+        for what in ("rudder 1 lost", "thruster 7/1 dead", "thruster 1/5 dead", "camera east dark", "process agent-1 killed"):
+            person.publish(topics.FAULT, FaultRequest(what), clock.now_ns())
+        for for_s in (-5.0, 5.0):
+            person.publish(topics.FAULT, FaultRequest("thruster 1/3 dead", for_s), clock.now_ns())
+        person.publish(topics.FAULT, FaultRequest("battery 1 sag"), clock.now_ns())
+
     def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
         event = decode(Event, payload, key, topic.name)
         lines.append(event.message)
         if event.message == "robots are in the water":
-            person.publish(topics.FAULT, FaultRequest("thruster 1/3 dead", 5.0), clock.now_ns())
-            person.publish(topics.FAULT, FaultRequest("battery 1 sag"), clock.now_ns())
-        elif "battery" in event.message:
+            threading.Thread(target=ask).start()
+        elif "battery 1 sag" in event.message:
             stop.request()
 
     person.subscribe(topics.EVENT, None, hear)
@@ -83,6 +91,16 @@ def test_a_fault_by_hand_is_logged_in_words_that_repeat_it(tmp_path: Path, caplo
     repeated = faults_by_hand(tmp_path)
     # What ended before the start is told, and no fault of a flight from there on.
     assert f"{BY_HAND}before the start for=5 thruster 1/3 dead" in lines
+    refused = [line for line in lines if line.startswith("a fault that cannot be made: ")]
+    reasons = (
+        "'rudder' cannot be broken",
+        "no robot 7",
+        "no such thruster (allowed: 1, 2, 3, 4)",
+        "no camera 'east'",
+        "only by the timeline",
+        "must be seconds",
+    )
+    assert len(refused) == len(reasons) and all(reason in line for reason, line in zip(reasons, refused, strict=True))
     assert repeated == ["t=0.000 battery 1 sag"]
     assert load_experiment("pool", faults=repeated).sim.faults[0].what == "battery 1 sag"
 

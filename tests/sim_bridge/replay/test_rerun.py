@@ -206,6 +206,18 @@ def test_observer_uses_the_pulses_that_really_went_out(flown: Pond) -> None:
     assert all(same(unchanged, flown.states))
 
 
+@pytest.mark.parametrize(
+    "settings", [["vehicle=vectored"], ["vehicle.thruster.curve=NARROW", "vehicle.thruster.max_thrust_n=1"]]
+)
+def test_pulses_that_another_vehicle_cannot_put_out_do_not_count(flown: Pond, settings: list[str]) -> None:
+    """Of a log that is repeated with other settings, one time for all steps."""
+    inner = [list(point) for point in flown.experiment.vehicle.thruster.curve if 1400 <= point[0] <= 1700]
+    other = load_experiment("pool", [*UNMOVED, *(setting.replace("NARROW", str(inner)) for setting in settings)])
+    states, _, messages = again(with_states(flown), other)
+    assert len(states) == len(flown.states)
+    assert messages == ["the log has pulses or wrenches that this vehicle does not have: its own count instead"]
+
+
 @pytest.mark.parametrize("topic", [topics.PLAN, topics.OBSTACLES, topics.INPUTS])
 def test_input_missing_in_the_log_is_named(flown: Pond, topic: Topic) -> None:
     of_this = [k for k, line in enumerate(flown.lines) if line.topic is topic]
