@@ -21,7 +21,7 @@ def browser() -> Iterator[Browser]:
         instance.close()
 
 
-@pytest.fixture(scope="module")  # one file uses it: its six processes at twice real time would slow down all that come after
+@pytest.fixture(scope="package")
 def flight(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[OperatorFlight]:
     operator = OperatorFlight(tmp_path_factory.mktemp("flight"), free_port())
     operator.start()
