@@ -28,6 +28,7 @@ TAG = re.compile(r"[\w-]+")
 MOST_JSON_BYTES = 8_000_000  # of result.json: a flight of 20 robots has a hundredth
 MOST_TEXT, MOST_TAGS = 200, 50  # characters of a text, and tags, that the list shows
 LONGEST_S = 1e7  # of a run: four months
+_LATEST_S = 250e9  # of a date: in the year 9892
 NO_RESULT = "no result"  # not evaluated, or what result.json holds cannot be read
 
 
@@ -153,9 +154,10 @@ def _experiment_name(folder: Path) -> str:
 
 
 def _begun_s(log: Path) -> float:
-    """Time at which a run began: its experiment is written first, and never again. A log without one tells its end."""
+    """Time at which a run began: its experiment is written first, and never again. A log without one tells its end. Within
+    the years of a calendar, which a file's date need not be."""
     first = log.parent / "experiment.toml"
-    return (first if first.exists() else log).stat().st_mtime
+    return min(max((first if first.exists() else log).stat().st_mtime, 0.0), _LATEST_S)
 
 
 def _json(file: Path) -> dict[str, Any]:

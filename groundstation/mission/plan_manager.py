@@ -152,7 +152,9 @@ class PlanManager:
         begin_s = self._ahead_s()
         experiment, segment, obstacles = self.flown, self.segment, self.discs_to_avoid(fleet, now_ns)
         self.deadline_s, self.by_operator = begin_s - LAST_CALL_S, bool(via)
-        self.request = PlanRequest("another path", lambda _: replan(experiment, segment, begin_s, obstacles, via))
+        self.request = PlanRequest(
+            "another path", lambda out_of_time: replan(experiment, segment, begin_s, obstacles, via, out_of_time)
+        )
 
     def request_form(self, form: str, fleet: Fleet, now_ns: int) -> None:
         """Request another form from an instant ahead."""

@@ -16,6 +16,7 @@ from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError, pair_problems, required_slowdown, robot_problems
 from groundstation.planning.formation import NodeMotion, node_motion, own_heading, quintic_blend, slot_offsets
 from groundstation.planning.paths import Path
+from groundstation.planning.prioritized_planning import OutOfTime, never
 from groundstation.planning.segment import PlanSegment, ceil_to_period, sample, with_forms
 from groundstation.planning.shift import move_past
 from groundstation.planning.time_scaling import scale_time
@@ -41,10 +42,15 @@ def can_replan(experiment: Experiment) -> bool:
 
 
 def replan(
-    experiment: Experiment, segment: PlanSegment, begin_s: float, obstacles: Array, via: Sequence[tuple[float, float]] = ()
+    experiment: Experiment,
+    segment: PlanSegment,
+    begin_s: float,
+    obstacles: Array,
+    via: Sequence[tuple[float, float]] = (),
+    out_of_time: OutOfTime = never,
 ) -> PlanSegment:
     """Plan the shortest route from the centre at `begin_s` to the remaining places of the path, or to `via`, around obstacles
-    (k, 3: x, y, radius). Every robot blends over to it. Raises PlanError."""
+    (k, 3: x, y, radius). Every robot blends over to it. Raises PlanError, also when `out_of_time`."""
     experiment = with_forms(experiment, segment)
     if via and not can_replan(experiment):
         raise PlanError("only a level path of waypoints or a route, common to all robots, can be changed under way")
@@ -52,7 +58,7 @@ def replan(
     def rerouted(clear_m: float) -> PlanSegment:
         """The shortest way to the places."""
         try:
-            return _rerouted(_with_things(experiment, obstacles, clear_m), segment, begin_s, via)
+            return _rerouted(_with_things(experiment, obstacles, clear_m), segment, begin_s, via, out_of_time)
         except PlanError as error:
             raise PlanError(_obstacles_named(str(error), experiment, obstacles)) from None
 
@@ -70,6 +76,8 @@ def replan(
         ways = [past, rerouted] if straight else [rerouted, past]
     for share in TIGHTER:
         for way in ways:
+            if out_of_time():
+                raise PlanError("none was found in time")
             try:
                 return way(share * experiment.mission.detour_clear_m)
             except PlanError as error:
@@ -98,7 +106,12 @@ def _with_things(experiment: Experiment, obstacles: Array, clear_m: float) -> Ex
 
 
 def _rerouted(
-    experiment: Experiment, segment: PlanSegment, begin_s: float, given_via: Sequence[tuple[float, float]], longer: float = 0.4
+    experiment: Experiment,
+    segment: PlanSegment,
+    begin_s: float,
+    given_via: Sequence[tuple[float, float]],
+    out_of_time: OutOfTime,
+    longer: float = 0.4,
 ) -> PlanSegment:
     """Segment along the new route. `longer`: the route may be longer than a straight one by this share; tried again with
     LONGEST."""
@@ -111,12 +124,16 @@ def _rerouted(
     route = spec.model_copy(update={"via_m": (here, *waypoints), "depth_m": float(now.eta[0, 2]), "smooth_m": smooth_m})
     remaining = ceil_to_period(segment.end_s - begin_s, period_s)
     length_m = float(np.hypot(*np.diff(np.array(route.via_m), axis=0).T).sum())
+    if length_m / spec.speed_mps > planner.MOST_SAMPLES * period_s:
+        raise PlanError(f"it is {length_m:.0f} m long: a trajectory message holds {planner.MOST_SAMPLES * period_s:.0f} s")
     samples = round((max(remaining, 0.0) + longer * length_m / spec.speed_mps) / period_s) + planner.horizon(experiment)
     time_s = period_s * np.arange(samples, dtype=np.float64)
     nodes = slot_offsets(experiment.nodes_m(), formation.changes, begin_s + time_s, experiment.robot_ids)
     path = planner.centre_path(experiment, route, experiment.robots, nodes)
 
     def excess(slower: Path) -> Array:
+        if out_of_time():
+            raise PlanError("none was found in time")
         return required_slowdown(experiment, planner.node_motions(experiment, slower.at(time_s), experiment.robots, nodes))
 
     path = scale_time(path, excess, samples, period_s) if route.slow else path
@@ -125,7 +142,7 @@ def _rerouted(
     centre = node_motion(state, planner.at_centre(samples), "translate", period_s)
     there = _arrival(centre.eta, waypoints[-1])
     if there >= samples - 2 and longer < LONGEST:
-        return _rerouted(experiment, segment, begin_s, given_via, LONGEST)
+        return _rerouted(experiment, segment, begin_s, given_via, out_of_time, LONGEST)
     there_s = begin_s + period_s * there
     end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)

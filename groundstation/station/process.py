@@ -137,7 +137,8 @@ def _conclude(station: Station, server: WebServer | None, stop: Stop, run_dir: P
     if stop.interrupted:
         station.core.ended = True
     if server is not None and server.watched:
-        (run_dir / PAGE_OPEN).touch()
+        with contextlib.suppress(OSError):  # a full disk: the run has ended all the same
+            (run_dir / PAGE_OPEN).touch()
 
 
 def _tell_interruption(stop: Stop) -> None:

@@ -202,7 +202,7 @@ class Station:
         where time waits at once. An outcome is dropped if no request waits for it any more."""
         for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
-                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience())
+                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience(wanted))
             if self.clock.waits and name in self.planning:
                 self._await_unlocked(self.planning[name][1])
         for name, wanted in self.core.plan_requests():  # asked again: requests came while this waited
@@ -211,10 +211,16 @@ class Station:
                 if task is wanted:
                     self.core.planned(name, outcome.result(), self.views, now_ns)
 
-    def _patience(self) -> OutOfTime:
-        """Limit of time of a plan that begins now; none where time waits: there a plan must not depend on the machine."""
+    def _patience(self, plan: PlanRequest) -> OutOfTime:
+        """Limit of time of a plan that begins now: while it is wanted, for its owner's next one waits until it has ended; and
+        no longer than PLANNING_S, but where time waits: there a plan must not depend on the machine."""
         closing, deadline_s = self.workers.closing, math.inf if self.clock.waits else time.monotonic() + PLANNING_S
-        return lambda: closing.is_set() or time.monotonic() > deadline_s
+
+        def over() -> bool:
+            wanted = any(request is plan for _, request in self.core.plan_requests())
+            return closing.is_set() or not wanted or time.monotonic() > deadline_s
+
+        return over
 
     def _await_unlocked(self, plan: "Future[PlanSegment | PlanError]") -> None:
         """Wait for a plan without the lock, which the cycle holds: an operator's requests are answered meanwhile."""

@@ -9,6 +9,7 @@ without a marker may differ from those of one run.
 """
 
 import csv
+import fcntl
 import glob
 import importlib
 import os
@@ -17,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -118,12 +119,17 @@ class PoseTable:
 
     def write(self, frames: Iterator[RecordedFrame], experiment: Experiment) -> Iterator[int]:
         """Write a row for each robot and frame, behind those that are there; yields the number of frames that are done. Raises
-        ConfigError for a part of other columns, and Failed if no robot is ever found: then there is no table."""
-        kept, frame_count = _kept(self._part) if self._part.exists() else ("", 0)
-        self.rows = max(kept.count("\n") - 1, 0)
+        ConfigError for a part of other columns, or that another program still writes, and Failed if no robot is ever found:
+        then there is no table."""
         localizer, message = FrameLocalizer(experiment), ""
+        if self._part.exists():  # a device or a pipe is not opened to write
+            with os_errors_as_config_errors(self._part):
+                open_regular(self._part).close()
         # What is there stays there: a run that is killed loses no more than the rows of a frame.
         with os_errors_as_config_errors(self._part), self._part.open("a", encoding="utf-8", newline="") as file:
+            self._claim(file)
+            kept, frame_count = _kept(self._part)
+            self.rows = max(kept.count("\n") - 1, 0)
             file.truncate(len(kept.encode()))
             table = csv.writer(file, lineterminator="\n")
             if not kept:
@@ -143,12 +149,25 @@ class PoseTable:
                     yield self.frames
             file.flush()
             os.fsync(file.fileno())
-        self.failures = localizer.failures()
-        if not self.rows:
+            self.failures = localizer.failures()
+            if self.rows:
+                self._write(self._part, self._out)
+                return
             self._part.unlink()
-            why = self.failures or message or "no marker was read"
-            raise Failed(f"no robot was found in any picture: {why}; no table was written")
-        self._write(self._part, self._out)
+        why = self.failures or message or "no marker was read"
+        raise Failed(f"no robot was found in any picture: {why}; no table was written")
+
+    def _claim(self, file: IO[str]) -> None:
+        """Lock the part for as long as it is open: of two programs that write it, each would add its rows to the other's. A
+        file system that knows no locks lets everybody in. Raises ConfigError."""
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{self._part}: another program still writes it (allowed: --resume after it)") from None
+        except OSError:
+            pass
+        if self._out.exists():
+            raise ConfigError(f"{self._out}: is there already (write to another file)")
 
 
 def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...]:

@@ -85,7 +85,7 @@ class SetupServer:
         except (ValueError, TypeError, RecursionError):
             return PlainTextResponse("not a JSON object", 400)
         if arguments.get("do") == "stop":
-            return JSONResponse({"problem": "", "found": await run_in_threadpool(stop_fleet)})
+            return JSONResponse({"problem": "", "found": await run_in_threadpool(_stop_fleet)})
         try:
             answer: Any = await run_in_threadpool(self._session.do, str(arguments.pop("do", "")), arguments)
         except ConfigError as error:
@@ -93,7 +93,7 @@ class SetupServer:
         return JSONResponse({"problem": "", "found": answer})
 
 
-def stop_fleet() -> str:
+def _stop_fleet() -> str:
     """Give the emergency stop to every station of this machine, as `groundstation stop` does; returns what became of it at
     each."""
     with programs.start("groundstation", ["stop"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as stopping:

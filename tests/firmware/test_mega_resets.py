@@ -267,7 +267,7 @@ def cut_often(count: int) -> None:
         assert len(keys) == 1, at
         armed, changed_keys = armed + before, changed_keys + (keys == [NEW_KEY])
     assert armed > count // 20  # some orders had come through
-    assert count <= CUTS or changed_keys > count // 20
+    assert count <= CUTS or changed_keys > count // 100  # another key takes most of the time to the last cuts
     assert len(board.phases_us) > count // 2
     assert board.mega.eeprom_counts()[1] == 0  # none of its bytes was touched while one was being written
     board.mega.close()

@@ -57,6 +57,19 @@ def test_runs_come_in_the_order_of_their_beginning_with_size_and_verdict(runs: P
     assert rows[1]["experiment"] == "pool" and rows[1]["commit"] == "a" * 40
 
 
+@pytest.mark.parametrize("date_s", [-4e11, 4e11, 1e18])
+def test_a_run_with_the_date_of_no_calendar_is_listed(runs: Path, monkeypatch: pytest.MonkeyPatch, date_s: float) -> None:
+    """Some file systems hold such dates, and a clock that was never set writes them."""
+    stat = Path.stat
+
+    def dated(path: Path, **options: Any) -> os.stat_result:
+        real = stat(path, **options)
+        return os.stat_result((*real[:8], date_s, real[9])) if path.parent.name == "cut" else real
+
+    monkeypatch.setattr(Path, "stat", dated)
+    assert sorted(Path(run.run).name for run in list_runs(runs)) == ["cut", "first", "second", "strange"]
+
+
 def test_a_result_with_other_types_is_listed_as_far_as_it_can_be_read(tmp_path: Path) -> None:
     a_run(tmp_path, "odd", json.dumps({"scene": 3, "duration_s": "long", "tags": "lamp", "passed": 1}), 1)
     (row,) = listed(tmp_path)

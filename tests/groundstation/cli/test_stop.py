@@ -24,7 +24,7 @@ WORDS = st.one_of(
 
 
 @given(st.lists(WORDS, max_size=4))
-def test_words_that_stop_can_use_are_never_refused(words: list[list[str]]) -> None:
+def test_no_line_keeps_a_stop_from_being_sent(words: list[list[str]]) -> None:
     arguments = [word for group in words for word in group]
     group: Any = typer.main.get_command(cli)
     group.commands[NAME].make_context(NAME, arguments)

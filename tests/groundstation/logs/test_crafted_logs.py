@@ -189,6 +189,15 @@ def test_no_command_ends_in_a_traceback(tmp_path: Path, name: str) -> None:
         assert done.exception is None or isinstance(done.exception, SystemExit | ConfigError), (command, done.exception)
 
 
+def test_a_record_larger_than_any_of_ours_is_not_read_from_a_large_file_either(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        file.write(MCAP0_MAGIC + struct.pack("<BQ", MESSAGE, LARGEST_BYTES + 1))
+        file.truncate(2 * LARGEST_BYTES)  # a hole: no disk is filled
+    with path.open("rb") as file, pytest.raises(Damaged, match=f"a record of {LARGEST_BYTES + 1} bytes"):
+        next(iter(log_records.records(file)))
+
+
 @pytest.mark.parametrize(("log_ns", "stamp_ns"), [(1 << 63, 5), (5, 1 << 63)])
 def test_either_instant_that_no_clock_shows_damages_its_message(log_ns: int, stamp_ns: int) -> None:
     with pytest.raises(Damaged, match="no clock of ours shows that"):

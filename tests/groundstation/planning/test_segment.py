@@ -1,5 +1,6 @@
 """Plans for robots under way: joined without a jump, clear of what lies there, and refused with a reason."""
 
+import time
 from dataclasses import replace
 from itertools import combinations
 
@@ -47,6 +48,19 @@ def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
     for robot, t in new.trajectories.items():
         assert np.hypot(*(t.eta[-1, :2] - segment.trajectories[robot].eta[-1, :2])) < 0.01
     assert segment.end_s < new.end_s < segment.end_s + 15.0
+
+
+def test_a_route_that_takes_too_long_to_plan_or_to_fly_is_given_up() -> None:
+    """A page may give fifty places, as far apart as the pool is long."""
+    experiment = load_experiment("straight")
+    segment, (length, width, _) = first_segment(experiment), experiment.pool.size_m
+    with pytest.raises(PlanError, match="none was found in time"):
+        replan(experiment, segment, 10.0, NO_OBSTACLES, [(2.0, 1.0)], lambda: True)
+    begun_s = time.process_time()
+    with pytest.raises(PlanError, match="m long: a trajectory message holds"):
+        far = [(0.3 * length * (-1) ** k, 0.3 * width * (-1) ** (k // 2)) for k in range(50)]
+        replan(experiment, segment, 10.0, NO_OBSTACLES, far)
+    assert time.process_time() - begun_s < 2.0
 
 
 def test_a_detour_from_straight_sides_comes_back_to_them() -> None:

@@ -155,12 +155,35 @@ def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
         assert mission.segment is home
 
 
+def test_a_plan_that_nobody_waits_for_any_more_is_given_up(tmp_path: Path) -> None:
+    """The next one waits until it has ended: robots would hold for as long."""
+    over: list[bool] = []
+    with a_station(tmp_path) as station:
+        mission, detour = station.mission, station.mission.segment
+
+        def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
+            over.append(eventually(out_of_time, 5.0))
+            return detour
+
+        def taken() -> bool:
+            station.plan(0)
+            return mission.state is MissionState.RELOADING
+
+        mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
+        station.plan(0)
+        home = replace(detour, is_return=True)
+        mission.plans.request = PlanRequest("a way for everybody from rest", lambda out_of_time: home)
+        assert eventually(taken)
+        assert over == [True] and mission.segment is home
+
+
 def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In lockstep only when the station ends: there a plan must not depend on the machine."""
-    deadlines: list[Callable[[], bool]] = []
+    deadlines, over = list[Callable[[], bool]](), list[bool]()
 
     def plan(out_of_time: Callable[[], bool]) -> PlanSegment:
         deadlines.append(out_of_time)
+        over.append(out_of_time())
         return station.mission.segment
 
     def taken() -> bool:
@@ -176,7 +199,7 @@ def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, 
                 station.clock = clock
                 station.plan(0)
             assert eventually(taken)
-        assert [out_of_time() for out_of_time in deadlines] == [False, True, False]
+        assert over == [False, True, False]
     assert all(out_of_time() for out_of_time in deadlines)
 
 

@@ -21,9 +21,11 @@ from typer.testing import CliRunner
 
 from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR
+from localizer.evaluation.offline import PoseTable, frames_of_video
 from localizer.node import FrameOutlets, LocalizerNode
 from localizer.sources.base import CapturedFrame
 from localizer.sources.recording import FRAMES, FrameRecorder, RecordedFrame, recorded_frames
+from localizer.sources.video import VideoReader
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
@@ -158,6 +160,23 @@ def test_a_part_of_other_settings_is_not_gone_on_with(video: Path, tmp_path: Pat
     done = CliRunner().invoke(cli, [*command, "--set", "camera.focal_px=[1200.0, 1200.0]"])
     assert f"{part}: its poses are of another recording, or of other settings" in str(done.exception)
     assert part.read_text() == text and not out.exists()
+
+
+def test_two_programs_never_write_the_same_table(video: Path, tmp_path: Path) -> None:
+    """Two people go on with the same part: each would add its rows behind the other's."""
+    whole, out = tmp_path / "whole.csv", tmp_path / "poses.csv"
+    _track(video, whole)
+    film = VideoReader(video)
+    with closing(film):
+        first, second = PoseTable(out, "12345678"), PoseTable(out, "12345678")
+        writing = first.write(frames_of_video(film, video, EXPERIMENT, None), EXPERIMENT)
+        assert [next(writing) for _ in range(4)] == [1, 2, 3, 4]
+        with pytest.raises(ConfigError, match="another program still writes it"):
+            next(second.write(frames_of_video(film, video, EXPERIMENT, None), EXPERIMENT))
+        assert list(writing)[-1] == FILMED
+    assert out.read_text() == whole.read_text()
+    with pytest.raises(ConfigError, match="is there already"):  # asked before the first had ended
+        next(second.write(iter(()), EXPERIMENT))
 
 
 def test_a_table_is_not_overwritten(video: Path, tmp_path: Path) -> None:

@@ -57,6 +57,13 @@ def test_poses_that_take_now_longer_now_shorter_are_still_taken_as_they_come() -
     assert np.percentile(ages_s, 99) < 0.001
 
 
+def test_where_poses_have_stopped_the_loop_waits_once_and_then_keeps_its_period() -> None:
+    """The robot is to hold then: it may not fly on at half its rate."""
+    instants_s = np.array([now_s for now_s, _ in steps((0.021 + k * PERIOD_S for k in range(200)), 20.0)])
+    assert np.diff(instants_s[instants_s > 5.0]).max() < 1.6 * PERIOD_S
+    assert np.diff(instants_s[instants_s > 10.2]) == pytest.approx(PERIOD_S, abs=1e-6)
+
+
 def test_without_any_pose_the_loop_goes_on_at_its_period() -> None:
     instants_s = [now_s for now_s, _ in steps(())]
     assert np.diff(instants_s) == pytest.approx(PERIOD_S)

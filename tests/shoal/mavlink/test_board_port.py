@@ -139,6 +139,19 @@ def test_a_frame_from_before_the_opening_is_no_word_of_a_board_that_it_reset(tmp
     pytest.fail("each frame was read too late")
 
 
+def test_only_an_open_serial_port_asks_for_patience_with_a_boards_first_word(tmp_path: Path) -> None:
+    """Its opening may have reset the board; no one comes to speak behind a port that is not there, and UDP resets nobody."""
+    bootloader_s, start_s = 5.0, 2.0  # the end of a programming session, and the firmware's start
+    controller, device = pty.openpty()
+    link = open_link(f"serial:{os.ttyname(device)}")
+    assert link.first_word_s >= bootloader_s + start_s
+    link.close()
+    os.close(controller)
+    os.close(device)
+    assert open_link(f"serial:{tmp_path / 'unplugged'}").first_word_s == 0.0
+    assert open_link("udp:127.0.0.1:9").first_word_s == 0.0
+
+
 def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path: Path) -> None:
     plug = tmp_path / "board"
     controller, device = pty.openpty()

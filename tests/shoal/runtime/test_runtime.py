@@ -193,7 +193,8 @@ def test_the_logs_lines_travel_as_events_until_the_bus_is_closed_debug_ones_do_n
     before = (list(log.handlers), log.level, log.propagate)
     try:
         log.setLevel(logging.DEBUG)
-        log.propagate = False  # pytest's own handler ends at what the last line does
+        log.handlers.clear()
+        log.propagate = False  # pytest's own handlers, of which another test may have left one, end at what the last line does
         log_to_bus(sender, LockstepClock(), "tester")
         log.warning("water in %s", "the boat")
         log.debug("a detail")
