@@ -103,7 +103,7 @@ def _faults() -> Iterator[str]:
             value = (
                 f"{effect.meaning}: {effect.low:g} to {effect.high:g}, default {effect.default:g}" if effect.meaning else ""
             )
-            where = "1" if kind in OF_PROCESSES else "1-3" if kind in NUMERIC else "1-2"
+            where = "1" if kind in OF_PROCESSES else "2" if kind == "radio" else "1-3" if kind in NUMERIC else "1-2"
             yield f"| {' | '.join((f'`{words}`', effect.happens, value, where))} |"
 
 

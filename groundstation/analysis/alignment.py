@@ -1,8 +1,9 @@
 """From a log to aligned arrays: truth, reference and estimate of every robot on one clock. Pure.
 
 A robot's reference at an instant is where its own trajectory clock (RobotState.trajectory_s) says it should be. A clock that
-stands (holding, dead) leaves the reference standing, and the run counts as incomplete. While a person leads a robot elsewhere
-it has no reference of the formation (groundstation/formation_clock.py), and its errors are not known.
+stands (a fault, dead) leaves the reference standing, and the run counts as incomplete. While a person leads a robot elsewhere
+(groundstation/formation_clock.py), and while it holds because it was asked to, it has no reference of the formation, and its
+errors are not known: it holds where it could stop, beyond its path's place.
 
 A log may hold several flights. One of them is looked at: the last that was more than the way home, or the one asked for.
 """
@@ -396,11 +397,13 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
 
 
 def _led_away(r: _Recorded, stamps: Array) -> Mask:
-    """True at the stamps at which a person led the robot elsewhere, (n,)."""
-    if r.with_formation.all():
+    """True at the stamps at which a person led the robot elsewhere, or it held at a request, (n,)."""
+    held = np.array([e.message.mode is Mode.HOLDING and not e.message.fault for e in r.states], dtype=bool)
+    away = held | ~r.with_formation
+    if not away.any():
         return np.zeros(len(stamps), dtype=bool)
     last = np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right") - 1
-    return np.asarray((last >= 0) & ~r.with_formation[np.maximum(last, 0)])
+    return np.asarray((last >= 0) & away[np.maximum(last, 0)])
 
 
 def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) -> Array | None:

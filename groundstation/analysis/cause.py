@@ -46,7 +46,10 @@ def missed(check: Check) -> str:
     """A requirement that is not met, in one line."""
     where = f" ({check.where})" if check.where else ""
     limit = "at least" if check.at_least else "at most"
-    return f"{title(check)}{where}: {with_unit(check.value, check.unit)}, {limit} {with_unit(check.limit, check.unit)}"
+    value, allowed = with_unit(check.value, check.unit), with_unit(check.limit, check.unit)
+    if check.failed and value == allowed and check.value is not None:
+        value += f" ({with_unit(abs(check.value - check.limit), check.unit)} beyond)"
+    return f"{title(check)}{where}: {value}, {limit} {allowed}"
 
 
 def cause(result: Result, series: Series) -> Cause | None:

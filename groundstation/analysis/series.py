@@ -106,7 +106,7 @@ class RobotSeries:
     pose_time_s: Array  # (k,)
     pose: Array  # (k, 3) x, y, yaw as located
     pose_error: Array  # (k, 3) against the truth, NaN where there is none
-    led_away: Mask  # (n,) a person leads it, and the formation's reference is not its own
+    led_away: Mask  # (n,) a person leads or holds it, and the formation's reference is not its own
     lost: dict[str, int] = field(default_factory=dict)  # messages that never reached the log, by kind: gaps in their numbers
 
     @property

@@ -28,6 +28,9 @@ AHEAD_S = 2.0  # from the request to the beginning of another path: covers plann
 LAST_CALL_S = 0.3  # before the beginning: all robots must have the next segment by then
 
 
+PlanMaker = Callable[[OutOfTime], PlanSegment]
+
+
 @dataclass(eq=False)
 class FlownPath:
     """A path with its formation, as an experiment gives it."""
@@ -46,7 +49,7 @@ class PlanRequest:
     """A plan that the mission waits for. The station calls `plan` and gives the mission its outcome."""
 
     name: str
-    make: Callable[[OutOfTime], PlanSegment]
+    make: PlanMaker
     flight: FlownPath | None = None  # another one that the plan begins
 
     def plan(self, out_of_time: OutOfTime = never) -> PlanSegment:
@@ -71,7 +74,7 @@ class PlanManager:
         self.monitor = ObstacleMonitor(experiment)
         self._first, self._roster = first, roster
         self._flight, self._flights = FlownPath(experiment, first), 0
-        self._purpose: Callable[[Fleet, float], Callable[[OutOfTime], PlanSegment]] | None = None  # of coming to rest
+        self._purpose: Callable[[Fleet, float], PlanMaker] | None = None  # of coming to rest
         self._coming: FlownPath | None = None  # that begins then
 
     def reset(self) -> None:
@@ -99,9 +102,9 @@ class PlanManager:
 
     @property
     def laps(self) -> FlownLaps:
-        """Laps of the path that is flown."""
+        """Laps of the path that is flown; the way home has none."""
         path = self.flown.path
-        lap_s = path.lap_s if isinstance(path, Circle) else None
+        lap_s = path.lap_s if isinstance(path, Circle) and not self.segment.is_return else None
         return FlownLaps(lap_s, self.segment.path_s, self.segment.end_s, self._flights)
 
     def trajectory_for(self, order: CommandKind, robot: int) -> Trajectory | None:
@@ -128,12 +131,12 @@ class PlanManager:
         """True if the plan from rest leads back to the starts."""
         return self._purpose == self._plan_return
 
-    def _plan_return(self, fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
+    def _plan_return(self, fleet: Fleet, begin_s: float) -> PlanMaker:
         experiment, starts = self.flown, self.starts
         rests, obstacles = self._roster.rest_poses(fleet), self.discs_to_avoid(fleet)
         return lambda out_of_time: plan_return(experiment, begin_s, rests, starts, obstacles, out_of_time)
 
-    def _plan_regroup(self, fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
+    def _plan_regroup(self, fleet: Fleet, begin_s: float) -> PlanMaker:
         experiment, segment, progress_s = self.flown, self.segment, self.progress_s
         rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
         obstacles = self.discs_to_avoid(fleet)
@@ -143,9 +146,12 @@ class PlanManager:
         """Request the targeted plan, now that all robots rest. It uses the fleet as known now: it is computed in another
         thread while the mission goes on."""
         if self.request is None and self._purpose is not None:
-            period_s = self.flown.controller.period_s
-            begin_s = ceil_to_period(self.progress_s + period_s, period_s)
-            self.request = PlanRequest("from rest", self._purpose(fleet, begin_s), self._coming)
+            self.request = PlanRequest("from rest", self._purpose(fleet, self._begin_s()), self._coming)
+
+    def _begin_s(self) -> float:
+        """First instant of a plan from rest."""
+        period_s = self.flown.controller.period_s
+        return ceil_to_period(self.progress_s + period_s, period_s)
 
     def request_replan(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...] = ()) -> None:
         """Request a path around obstacles, or through the operator's places `via` (x, y) in m."""
@@ -163,16 +169,16 @@ class PlanManager:
         make = self.form_plan(form, begin_s, fleet, now_ns)
         self.request = PlanRequest("another form", lambda _: make())
 
-    def draft_form(self, form: str, fleet: Fleet, now_ns: int, state: MissionState) -> Callable[[], PlanSegment]:
-        """Function that plans another form without asking for it, in a state that allows it. Robots that hold or rest have
-        transfers into it, which are left out here."""
-        experiment, segment, progress_s = self.flown, self.segment, self.progress_s
+    def draft(self, text: str, other: Experiment | None, fleet: Fleet, now_ns: int, state: MissionState) -> PlanMaker:
+        """Function that plans another form, or the path of an `other` experiment, without asking for it, in a state that
+        allows it: with the ways into place, where robots rest or hold."""
         if state in AT_REST:
-            present = self._flight
-            return lambda: in_form(experiment, present.plan(), 0.0, read_form(form, 0.0)[0])
-        if state is MissionState.PAUSED:
-            return lambda: in_form(experiment, segment, progress_s, read_form(form, 0.0)[0])
-        return self.form_plan(form, self._ahead_s(), fleet, now_ns)
+            return self._from_rest(fleet, other, text)[0]
+        if state is not MissionState.PAUSED:
+            make = self.form_plan(text, self._ahead_s(), fleet, now_ns)
+            return lambda _: make()
+        purpose = self._into_form(text) if other is None else self._into_flight(FlownPath(other))
+        return purpose(fleet, self._begin_s())
 
     def form_plan(self, form: str, begin_s: float, fleet: Fleet, now_ns: int) -> Callable[[], PlanSegment]:
         """Function that plans another form from `begin_s` on. It raises PlanError."""
@@ -193,9 +199,12 @@ class PlanManager:
 
     def target_form(self, form: str) -> None:
         """Plan the next rest's segment into the slots of another form, and on along the present path."""
+        self._purpose, self._coming = self._into_form(form), None
+
+    def _into_form(self, form: str) -> Callable[[Fleet, float], PlanMaker]:
         experiment, segment, progress_s = self.flown, self.segment, self.progress_s
 
-        def plan(fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
+        def plan(fleet: Fleet, begin_s: float) -> PlanMaker:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
 
             def make(out_of_time: OutOfTime) -> PlanSegment:
@@ -205,21 +214,29 @@ class PlanManager:
 
             return make
 
-        self._purpose, self._coming = plan, None
+        return plan
 
     def target_flight(self, flown: Experiment) -> None:
         """Plan the next rest's segment to the beginning of another path, and on along it."""
         flight = FlownPath(flown)
+        self._purpose, self._coming = self._into_flight(flight), flight
 
-        def plan(fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
+    def _into_flight(self, flight: FlownPath) -> Callable[[Fleet, float], PlanMaker]:
+        def plan(fleet: Fleet, begin_s: float) -> PlanMaker:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
+            flown = flight.experiment
             return lambda late: plan_regroup(flown, flight.plan(), begin_s, 0.0, rests, slots, obstacles, late)
 
-        self._purpose, self._coming = plan, flight
+        return plan
 
     def request_at_rest(self, fleet: Fleet, flown: Experiment | None, form: str) -> None:
         """Request what the next start flies, from where the robots rest: another experiment's path, or the present one in
         another form."""
+        make, flight = self._from_rest(fleet, flown, form)
+        self.failure, self.request = "", PlanRequest("at rest", make, flight)
+
+    def _from_rest(self, fleet: Fleet, flown: Experiment | None, form: str) -> tuple[PlanMaker, FlownPath]:
+        """Function that plans what the next start flies, and the path that it begins."""
         flight = FlownPath(self.flown) if flown is None else FlownPath(flown)
         rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
         obstacles, present = self.discs_to_avoid(fleet), self._flight
@@ -229,7 +246,7 @@ class PlanManager:
                 flight.segment = in_form(flight.experiment, present.plan(), 0.0, read_form(form, 0.0)[0])
             return plan_regroup(flight.experiment, flight.plan(), 0.0, 0.0, rests, slots, obstacles, out_of_time)
 
-        self.failure, self.request = "", PlanRequest("at rest", make, flight)
+        return make, flight
 
     # --- obstacles
 

@@ -3,21 +3,25 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
 from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightMetrics, Traces, Variant
 from groundstation.analysis.statistics import NOTHING, Interval, mean
 from groundstation.palette import COLOURS, colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
-from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, picture
+from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, TOP_IN, WIDTH_IN, legend, picture
 
 NAMES_IN = 1.75  # room for the variants' names
 ROW_IN = 0.27
 SOLID, DASHED = "-", "--"
+PLAIN = FormatStrFormatter("%g")  # of logarithmic axes
+BEHIND_NAME: Any = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
 
 
 @dataclass(frozen=True)
@@ -130,13 +134,15 @@ def errors(comparison: Comparison) -> Figure:
                     axes.plot([centre.low, centre.high], [i, i], color=tone, linewidth=1.6)
                 axes.plot(centre.value, i, "|", color=tone, markersize=11, markeredgewidth=1.8)
             axes.set_xscale("log")
-            axes.set_xlabel(f"{c.heading} [{c.unit}]")
+            axes.xaxis.set_major_formatter(PLAIN)
+            axes.xaxis.set_minor_formatter(NullFormatter())
+            axes.set_xlabel(f"RMS, {c.heading} [{c.unit}]")
     return figure
 
 
 def demands(comparison: Comparison) -> Figure:
     """Share of control steps in which more was wanted than is allowed, and how much input changes."""
-    figure, (left, right) = _rows_of(comparison, 2)
+    figure, (left, right) = _rows_of(comparison, 2, TOP_IN)
     with mpl.rc_context(STYLE):
         for i, variant in enumerate(comparison.variants):
             for shift, key, tone in ((-0.2, "wanted_too_large", COLOURS[1]), (0.2, "wanted_too_fast", COLOURS[4])):
@@ -147,7 +153,7 @@ def demands(comparison: Comparison) -> Figure:
             right.barh(i, wear.value, 0.6, color=colour(i), xerr=_bars(wear), ecolor=GREY)
         left.set_xlabel("wanted beyond limits [% of steps]")
         right.set_xlabel("applied change per step [% of limit, RMS]")
-        left.legend(loc="lower right")
+        legend(figure, left)
         for axes in (left, right):
             axes.set_xlim(left=0.0)
     return figure
@@ -160,17 +166,17 @@ def _bars(interval: Interval) -> list[list[float]] | None:
     return [[max(interval.value - interval.low, 0.0)], [max(interval.high - interval.value, 0.0)]]  # of equal values: rounding
 
 
-def _rows_of(comparison: Comparison, count: int) -> tuple[Figure, Sequence[Axes]]:
+def _rows_of(comparison: Comparison, count: int, top_in: float = 0.15) -> tuple[Figure, Sequence[Axes]]:
     """A figure whose axes share a row per variant."""
     rows = len(comparison.variants)
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 0.15 + BOTTOM_IN + ROW_IN * rows))
+        figure = Figure(figsize=(WIDTH_IN, top_in + BOTTOM_IN + ROW_IN * rows))
         grid = figure.subplots(1, count, sharey=True, squeeze=False)[0]
         width_in, height_in = figure.get_size_inches()
         figure.subplots_adjust(
             left=NAMES_IN / width_in,
             right=1 - RIGHT_IN / width_in,
-            top=1 - 0.15 / height_in,
+            top=1 - top_in / height_in,
             bottom=BOTTOM_IN / height_in,
             wspace=0.08,
         )
@@ -196,6 +202,7 @@ def course(comparison: Comparison) -> Figure | None:
             axes.plot(time_s, values, SOLID if i < len(COLOURS) else DASHED, color=colour(i), label=variant.name)
         axes.axvline(SETTLED_S, color=GREY, linewidth=0.7, linestyle=(0, (1, 2)))
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(PLAIN)
         axes.set(xlabel="time since the start [s]", ylabel="distance, RMS over the robots [mm]")
         axes.margins(x=0.01)
         figure.legend(loc="upper left", bbox_to_anchor=(0.69, 0.985), borderaxespad=0.0)
@@ -208,15 +215,18 @@ def wanted(comparison: Comparison) -> Figure | None:
     if not traced_variants:
         return None
     panels = []
-    for variant, traces in traced_variants:
+    for _, traces in traced_variants:
         most = int(np.argmax([np.abs(each).max() for each in traces.wanted_n]))
         time_s = np.array([traces.input_period_s * k for k in range(len(traces.wanted_n[most]))])
         lines = [
             Curve("wanted", time_s, np.array(traces.wanted_n[most]), COLOURS[1]),
             Curve("applied", time_s, np.array(traces.applied_n[most]), COLOURS[0]),
         ]
-        panels.append(Panel(f"{variant.name} [N]", lines, limit=comparison.surge_limit_n, unit="N"))
-    return picture(TimePlot(panels, height_in=1.0))
+        panels.append(Panel("surge [N]", lines, limit=comparison.surge_limit_n, unit="N"))
+    figure = picture(TimePlot(panels, height_in=1.0))
+    for axes, (variant, _) in zip(figure.axes if figure is not None else (), traced_variants, strict=True):
+        axes.text(0.99, 0.93, variant.name, transform=axes.transAxes, ha="right", va="top", fontsize=8.5, bbox=BEHIND_NAME)
+    return figure
 
 
 def _traced(comparison: Comparison) -> list[tuple[Variant, Traces]]:

@@ -24,7 +24,7 @@ from groundstation.mission.state_machine import READY, MissionState, in_words, r
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.prioritized_planning import OutOfTime
-from groundstation.planning.segment import PlanSegment, first_segment
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
 from groundstation.web.backend import Status
 from shoal.bus.access_control import INSECURE
@@ -47,6 +47,7 @@ MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the 
 # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
 COMMAND_KINDS = 5
 PLANNING_S = 15.0  # for a plan of robots at rest; the formation holds meanwhile, and its battery does not last for ever
+DRAFT_S = 5.0  # for a plan that a person looks at; a click plans it anew
 STATUS_WITHIN_S = 0.02  # a reader of the status waits no longer for the cycle, and gets the last one
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 
@@ -320,10 +321,12 @@ class Station:
             mission = self.mission
             context = mission.request_context(order, self.views, text=text)
             reason = rejection_reason(order, mission.state) or objection(order, context)
-            make = mission.plans.draft_form(text, self.views, self.clock.now_ns(), mission.state)
-        if reason:
-            raise PlanError(reason)
-        return first_segment(context.other_flight) if order is CommandKind.PATH else make()
+            if reason:
+                raise PlanError(reason)
+            other = context.other_flight if order is CommandKind.PATH else None
+            make = mission.plans.draft(text, other, self.views, self.clock.now_ns(), mission.state)
+        until_s = time.monotonic() + DRAFT_S
+        return make(lambda: time.monotonic() > until_s)
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""

@@ -238,11 +238,12 @@ def rerun(
 
     from localizer.evaluation.offline import compare_again
     from localizer.evaluation.runner import table, to_json
-    from localizer.sources.recording import EXPERIMENT
+    from localizer.sources.recording import EXPERIMENT, require_recording
     from shoal.runtime.runtime import start_log
 
     start_log("localizer")
     cv2.setNumThreads(1)  # as `run`
+    require_recording(recording)
     rows, failures = compare_again(recording, load_experiment(str(recording / EXPERIMENT), settings or ()))
     typer.echo(to_json(rows) if as_json else table(rows))
     if failures:

@@ -203,6 +203,15 @@ def frame_estimate(folder: Path, size_px: tuple[int, int]) -> int:
         return (folder / FRAMES).stat().st_size // (size_px[0] * size_px[1])
 
 
+def require_recording(folder: Path) -> None:
+    """Raise ConfigError unless a folder is such a recording."""
+    missing = [name for name in (FRAMES, EXPERIMENT) if not (folder / name).is_file()]
+    if missing:
+        run = f"; its agents' steps: sim-bridge rerun {folder}" if (folder / "run.mcap").is_file() else ""
+        names, are = " and ".join(missing), "are" if len(missing) > 1 else "is"
+        raise ConfigError(f"{folder}: {names} {are} missing there (allowed: a folder of `localizer run --record`){run}")
+
+
 def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
     """The frames of a recording, in order, as far as they are whole; where it was cut is logged. Raises ConfigError for a file
     that is none."""

@@ -7,7 +7,8 @@ grow beyond that, and every way there has its time (guidance_states.py).
 
 Three causes are found by themselves, earlier than their effect on the path: a robot that is held fast, a marker that is turned
 (both thrust_response.py), and a current or another force that is stronger than the robot: for a second it takes as much as
-full thrust, the thrust is near its limit, and the error grows.
+full thrust, the thrust is near its limit, and the error grows, though the robot does not brake. (One that has overshot its
+path moves away from it, slower every moment.)
 """
 
 import cmath
@@ -37,7 +38,7 @@ GROWS_S = 1.0  # an error beyond its bound on the way to the path
 STRONGER_S = 1.0
 STRONGER = 0.95  # of full thrust: what a current takes. At 0.8 of the robot's speed it takes 0.64
 NEAR_FULL = 0.8  # of full thrust: what is given meanwhile
-GROWING = 0.05  # of the robot's speed: growth of the error
+GROWING = 0.05  # of the robot's speed: growth of the error, and what a robot that brakes loses meanwhile
 SLOWEST = 0.05  # of the robot's speed: with less to spare no path can be joined (tests/flights/cells.py: 0.95 at most)
 LEANING = 0.5  # of the evidence that stops a robot: enough to name a likely cause
 
@@ -67,6 +68,7 @@ class _Moment(NamedTuple):
     force: float  # that the model does not explain, of full thrust
     thrust: float  # of full thrust
     off_m: float
+    velocity_mps: complex  # over ground, in the pool
 
 
 class _Step(NamedTuple):
@@ -183,7 +185,9 @@ class PathWatch:
         estimate, off_m, now_ns = step.observation.estimate, step.off_m, step.now_ns
         learned = 1.0 if estimate.thrust_ratio is None else estimate.thrust_ratio
         force = math.hypot(estimate.disturbance[0], estimate.disturbance[1]) / (self._thrust_mps2 * learned)
-        self._moments.append(_Moment(now_ns, force, abs(step.control.wrench_delivered[0]) / self._thrust_n, off_m))
+        velocity_mps = cmath.rect(1.0, estimate.eta.item(3)) * complex(estimate.nu[0], estimate.nu[1])
+        given = abs(step.control.wrench_delivered[0]) / self._thrust_n
+        self._moments.append(_Moment(now_ns, force, given, off_m, velocity_mps))
         while len(self._moments) > 2 and self._moments[1].at_ns <= now_ns - STRONGER_S * NS:
             self._moments.popleft()
         first, count = self._moments[0], len(self._moments)
@@ -191,8 +195,11 @@ class PathWatch:
         self.force = sum(m.force for m in self._moments) / count
         self._now = max(self.force, force, (abs(step.observation.current) / self._fastest_mps) ** 2)
         thrust = sum(m.thrust for m in self._moments) / count
-        grows = off_m - first.off_m > GROWING * self._fastest_mps * lasted_s
-        if lasted_s < STRONGER_S or self.force < STRONGER or thrust < NEAR_FULL or not grows:
+        some_mps = GROWING * self._fastest_mps
+        away = complex(*(step.observation.eta[:2] - step.control.eta_reference[:2]).tolist())
+        brakes = ((velocity_mps - first.velocity_mps) * away.conjugate()).real < -some_mps * off_m
+        is_carried = off_m - first.off_m > some_mps * lasted_s and not brakes
+        if lasted_s < STRONGER_S or self.force < STRONGER or thrust < NEAR_FULL or not is_carried:
             return ""
         return f"it takes {100.0 * self.force:.0f} % of full thrust and carries the robot off; {100.0 * thrust:.0f} % is given"
 

@@ -16,7 +16,9 @@ Nobody knows how fast the water changes: still water and gusts differ by a facto
 changes with time takes the hull along, one that differs from place to place does not. So each filter of the bank assumes one
 kind of water, and the poses tell which is right: its weight grows with the likelihood of what it expected (multiple models;
 Blom and Bar-Shalom 1988). All share belief and F; the mean of their errors goes into the belief after each pose, and P of the
-whole is that of the mixture. One more filter has forces that change quickly: a cable, a broken thruster.
+whole is that of the mixture. One more filter has surge and sway forces that change quickly: a push. Its moment is no more
+restless than that of the others: the gyroscope speaks against a restless moment at every pose, the filter loses its weight, is
+filled with the mixture at every pose, and never has a force of its own. Another has both: a cable, a broken thruster.
 
 Drag and current are one direction on a straight path. There drag is considered and not learned (Schmidt): it keeps its
 variance, and that of the others counts it. So it is in the filters of restless water, on any path. The filter of still water
@@ -34,6 +36,9 @@ ERRORS = 16
 X, Y, YAW, U, V, R, FORCE_U, FORCE_V, FORCE_R, CURRENT_X, CURRENT_Y, GYRO, DRAG, THRUST, MOMENT, TURN_DRAG = range(ERRORS)
 NUMBERS = 23  # of the belief: state 11, own forces 4, current 2, the four ln, gyroscope's bias, side thrust
 ACTING, LN, BIAS, SIDE = 8, 17, 21, 22  # of the belief: thrust that acts now: surge, heave, yaw; and sway: last, as in eso.py
+PASSES_MPS = (
+    0.03  # water of another place also drifts past a robot that rests; without it HOLD in a current is twice as far off
+)
 LEAST_WEIGHT = 1e-6  # of a filter: it comes back within a second when the water turns out to be as it says
 
 
@@ -51,7 +56,6 @@ class Noise(NamedTuple):
     arm_m: float  # unlike thrusters turn the robot as they push
     ratio_per_s: float  # variance by which drag, thrust and moment per mass wander in a second
     bias_per_s: float  # (rad/s)^2: the same for the gyroscope's bias
-    calm_m2ps3: float  # filters that take water and forces for no more restless learn drag
     hand_m2ps3: float  # intensity of a hand that holds a robot without thrust,
     hand_rad2ps3: float  # and turns it
 
@@ -59,9 +63,10 @@ class Noise(NamedTuple):
 class Bank(NamedTuple):
     """The filters with their memory. Every array is changed in place."""
 
-    water_m2ps3: Floats  # (filters,) intensity of the current's change that each assumes,
-    force: Floats  # (filters,) and by how much more its forces change than `Noise` says
-    place: Floats  # (filters,) share of the current's changes by place; the others are by time
+    by_time_m2ps3: Floats  # (filters,) intensity of the current's change with time that each assumes,
+    by_place_mps2: Floats  # (filters,) variance of its change over a metre of the robot's way,
+    force_m2ps5: Floats  # (filters,) intensity of surge and sway forces beyond what `Noise` says,
+    moment_rad2ps5: Floats  # (filters,) and of the yaw moment
     weight: Floats  # (filters,) their sum is 1
     mean: Table  # (filters, ERRORS) of the error, about the common belief: that of the whole is 0 between two poses
     covariance: Cube  # (filters, ERRORS, ERRORS)
@@ -160,13 +165,12 @@ def multiply(f: Table, p: Table, product: Table) -> None:
 
 
 @kernel(part=True)
-def stream(p: Table, water: float, place: float, cos: float, sin: float) -> None:
-    """Add the variance `water` by which the current has changed. Water that changes with time takes the hull along, and
-    leaves its motion through the water alone. Water that is another at another place does not: the hull keeps its motion over
-    ground. That is the share `place`."""
-    p[CURRENT_X, CURRENT_X] += water
-    p[CURRENT_Y, CURRENT_Y] += water
-    kept = place * water
+def stream(p: Table, by_time: float, kept: float, cos: float, sin: float) -> None:
+    """Add the variances by which the current has changed. Water that changes with time takes the hull along, and leaves its
+    motion through the water alone. Water that is another at another place does not: the hull has `kept` its motion over
+    ground."""
+    p[CURRENT_X, CURRENT_X] += by_time + kept
+    p[CURRENT_Y, CURRENT_Y] += by_time + kept
     p[U, U] += kept
     p[V, V] += kept
     p[U, CURRENT_X] -= kept * cos
@@ -178,10 +182,12 @@ def stream(p: Table, water: float, place: float, cos: float, sin: float) -> None
 
 
 @kernel(part=True)
-def predict(bank: Bank, sway: float, yaw: float, dt: float, f: Table, q: Floats) -> None:
+def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Floats) -> None:
     """Move the errors of each filter on by `dt`: e = F e, P = F P F' + Q dt."""
     half, moved = bank.work[2], bank.work[3, 0]
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos, sin = math.cos(belief[3]), math.sin(belief[3])
+    ahead, across = cos * belief[4] - sin * belief[5] + belief[15], sin * belief[4] + cos * belief[5] + belief[16]
+    way_m = dt * max(math.hypot(ahead, across), PASSES_MPS)
     for j in range(len(bank.weight)):
         p, mean = bank.covariance[j], bank.mean[j]
         multiply(f, p, half)
@@ -192,10 +198,13 @@ def predict(bank: Bank, sway: float, yaw: float, dt: float, f: Table, q: Floats)
                 total += f[i, k] * mean[k]
             moved[i] = total
             if p[i, i] > 0.0 or (U <= i <= CURRENT_Y):  # ratios and bias that are not learned have no variance
-                p[i, i] += q[i] * (bank.force[j] if FORCE_U <= i <= FORCE_R else 1.0)
+                p[i, i] += q[i]
         for i in range(ERRORS):
             mean[i] = moved[i]
-        stream(p, sway * bank.water_m2ps3[j] * dt, bank.place[j], cos, sin)
+        p[FORCE_U, FORCE_U] += bank.force_m2ps5[j] * dt
+        p[FORCE_V, FORCE_V] += sway * bank.force_m2ps5[j] * dt
+        p[FORCE_R, FORCE_R] += bank.moment_rad2ps5[j] * dt
+        stream(p, sway * bank.by_time_m2ps3[j] * dt, sway * bank.by_place_mps2[j] * way_m, cos, sin)
 
 
 @kernel(part=True)

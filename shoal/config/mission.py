@@ -14,7 +14,7 @@ class MissionConfig(Section):
     lost: Literal["abort", "hold", "go-on", "close-up"] = "abort"
     """The others' reaction to a lost robot: disarm; hold; go on; or take the nodes of the file's first robots."""
     detours: bool = True
-    """Lead the formation around obstacles on its path (of waypoints, or a route)."""
+    """Lead the formation around obstacles on its path, if all robots share it."""
     blind: Literal["warn", "hold"] = "hold"
     """While obstacles cannot be detected: no robot starts, and those that fly hold; or only an alarm."""
     detour_clear_m: NotNegative = 0.25

@@ -276,7 +276,9 @@ def _go_on(
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
-    loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
+    loaded, left_out = resume.load_changed(source, changes, faults or ())
+    caution(*left_out)
+    _cautioned(loaded)
     fleet, water = resume.prepared(loaded, source, at_s)
     folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), terminal(background(sys.stdout))
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)

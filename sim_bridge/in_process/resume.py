@@ -138,16 +138,22 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
     return [np.array(step) for step in zip(*map(of, memories), strict=True)]
 
 
-def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> Experiment:
-    """The experiment that was flown, with changes. Raises ConfigError."""
-    experiment = load_experiment(str(run / "experiment.toml"), settings, [*faults_by_hand(run), *more_faults])
+def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> tuple[Experiment, list[str]]:
+    """The experiment that was flown, with changes, and a line for each fault that a person made and that is left out: it needs
+    a camera, a board or a network. Raises ConfigError."""
+    faults, left_out = list[str](), list[str]()
+    for what, fault in faults_by_hand(run):
+        (faults if read_what(what).kind in fault_schedule.NUMERIC else left_out).append(fault)
+    experiment = load_experiment(str(run / "experiment.toml"), settings, [*faults, *more_faults])
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "from a logged moment on there is none")
-    return experiment
+    again = f"to have it, fly sim-bridge sil {run / 'experiment.toml'} --fault"
+    return experiment, [
+        f"left out, for from a logged moment on there is none: {fault}; {again} '{fault}'" for fault in left_out
+    ]
 
 
-def faults_by_hand(run: Path) -> list[str]:
-    """Faults that a person made in a recorded run, as --fault takes them; without those that need a camera, a board or a
-    network."""
+def faults_by_hand(run: Path) -> list[tuple[str, str]]:
+    """Faults that a person made in a recorded run: what broke, and the whole as --fault takes it."""
     faults: list[tuple[float, float, str]] = []  # instant, duration, what
     for entry in read_log(run / "run.mcap", (topics.EVENT,)).of(topics.EVENT, Event):
         line = entry.message.message
@@ -160,8 +166,9 @@ def faults_by_hand(run: Path) -> list[str]:
                     (begin_s, min(for_s, max(at_s - begin_s, 0.001)) if what == mended[2] else for_s, what)
                     for begin_s, for_s, what in faults
                 ]
-    numeric = [fault for fault in faults if read_what(fault[2]).kind in fault_schedule.NUMERIC]
-    return [f"t={at_s:.3f}{f' for={for_s:.10g}' if math.isfinite(for_s) else ''} {what}" for at_s, for_s, what in numeric]
+    return [
+        (what, f"t={at_s:.3f}{f' for={for_s:.10g}' if math.isfinite(for_s) else ''} {what}") for at_s, for_s, what in faults
+    ]
 
 
 def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import matplotlib as mpl
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from groundstation.analysis.measures import LABELS, MEASURES
 from groundstation.analysis.statistics import Interval
@@ -21,7 +23,7 @@ from sim_bridge.studies.statistics import distribution, rate
 
 WORST = 10
 BLUE, INK = "#0072b2", "#1c2733"
-PANELS = 3  # side by side
+FONT = 8.0  # points, in figures of one column's width
 
 Row = dict[str, Any]
 
@@ -98,30 +100,31 @@ def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str,
     return [(name, pairs) for name, pairs in components if len({value for value, _ in pairs}) > 1]
 
 
-def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> Markup:
-    """Each measure against a swept key: a dot per flight, means with their intervals."""
-    rows, columns = -(-len(measures) // PANELS), min(len(measures), PANELS)
-    figure = Figure(figsize=(4.2 * columns, 2.8 * rows))
-    grid = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for unused in grid[len(measures) :]:
-        unused.remove()
+def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> list[tuple[str, Markup]]:
+    """Each measure against a swept key, with its label: a dot per flight, means with their intervals."""
     numbers = [_number(line.value) for line in lines]
     places = [n for n in numbers if n is not None]
     if len(places) < len(lines):
         places = [float(k) for k in range(len(lines))]
-    for axes, measure in zip(grid, measures, strict=False):
-        for x, line in zip(places, lines, strict=True):
-            axes.plot([x] * len(line.points[measure]), line.points[measure], ".", color=BLUE, markersize=4, alpha=0.4)
-        intervals = [(x, i) for x, line in zip(places, lines, strict=True) if (i := line.means[measure]) is not None]
-        axes.plot([x for x, _ in intervals], [i.value for _, i in intervals], "-", color=INK, linewidth=1.0)
-        for x, interval in intervals:
-            ends = [interval.low if interval.low is not None else interval.value, interval.high or interval.value]
-            axes.plot([x, x], ends, color=INK, linewidth=2.0)
-            axes.plot(x, interval.value, "o", color=INK, markersize=4)
-        axes.set_xticks(places, [line.value for line in lines])
-        axes.set(xlabel=key, ylabel=axis_of(measure))
-        axes.set_ylim(bottom=0.0)
-    return _svg(figure)
+    return [(LABELS.get(measure, measure), _svg(_panel(key, lines, places, measure))) for measure in measures]
+
+
+def _panel(key: str, lines: Sequence[KeyValue], places: Sequence[float], measure: str) -> Figure:
+    figure = Figure(figsize=(3.5, 2.4))
+    axes = figure.subplots()
+    for x, line in zip(places, lines, strict=True):
+        axes.plot([x] * len(line.points[measure]), line.points[measure], ".", color=BLUE, markersize=4, alpha=0.4)
+    intervals = [(x, i) for x, line in zip(places, lines, strict=True) if (i := line.means[measure]) is not None]
+    axes.plot([x for x, _ in intervals], [i.value for _, i in intervals], "-", color=INK, linewidth=1.0)
+    for x, interval in intervals:
+        ends = [interval.low if interval.low is not None else interval.value, interval.high or interval.value]
+        axes.plot([x, x], ends, color=INK, linewidth=2.0)
+        axes.plot(x, interval.value, "o", color=INK, markersize=4)
+    axes.set_xticks(places, [line.value for line in lines])
+    axes.set(xlabel=key, ylabel=axis_of(measure))
+    most = max((value for line in lines for value in line.points[measure]), default=0.0)
+    axes.set_ylim(0.0, 1.08 * most or 1.0)
+    return figure
 
 
 def axis_of(measure: str) -> str:
@@ -137,7 +140,7 @@ def _number(text: str) -> float | None:
 
 
 def _histogram(numbers: Sequence[float], measure: str) -> Markup:
-    figure = Figure(figsize=(4.6, 2.4))
+    figure = Figure(figsize=(3.5, 2.0))
     axes = figure.subplots()
     shown = unit_of(measure)[1] * np.asarray(numbers)
     axes.hist(shown, bins="auto" if len(numbers) < 1000 else 60, color=BLUE)
@@ -148,7 +151,7 @@ def _histogram(numbers: Sequence[float], measure: str) -> Markup:
 
 
 def _scatter(key: str, measure: str, pairs: Sequence[tuple[float, float]]) -> Markup:
-    figure = Figure(figsize=(4.6, 2.8))
+    figure = Figure(figsize=(3.5, 2.4))
     axes = figure.subplots()
     axes.plot([x for x, _ in pairs], [unit_of(measure)[1] * y for _, y in pairs], ".", color=BLUE, markersize=4)
     axes.set(xlabel=key, ylabel=axis_of(measure))
@@ -158,9 +161,12 @@ def _scatter(key: str, measure: str, pairs: Sequence[tuple[float, float]]) -> Ma
 def _svg(figure: Figure) -> Markup:
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
+    for label in figure.findobj(Text):
+        label.set_fontsize(FONT)
     figure.tight_layout()
     text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
+    with mpl.rc_context({"svg.fonttype": "none"}):  # text stays text, also in what is saved of it
+        figure.savefig(text, format="svg", metadata={"Date": None})
     return Markup(text.getvalue()[text.getvalue().index("<svg") :])  # our own drawing; matplotlib has escaped its texts
 
 

@@ -75,6 +75,22 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     assert desk.orders == [CommandKind.FORMATION] and desk.text == "line 1.1"
 
 
+def test_a_hold_makes_the_plan_another_one(desk: LoneStation, experiment: Experiment) -> None:
+    def plan(order: CommandKind, text: str) -> PlanSegment:
+        if desk.own_status.state is MissionState.PAUSED:
+            raise PlanError("no way into place")
+        return first_segment(experiment)
+
+    desk.draft = plan  # type: ignore[method-assign]
+    page = desk.page
+    button(page, "Formation…").click()
+    page.get_by_label("Shape of the formation").select_option("line")
+    expect(page.get_by_text("can be flown")).to_be_visible()
+    desk.own_status = Status(MissionState.PAUSED, "")
+    expect(page.get_by_text("no way into place")).to_be_visible()
+    expect(button(page, "Fly this form")).to_be_disabled()
+
+
 def test_another_experiments_path_is_drawn_and_asked_for_by_name_or_as_a_file(
     desk: LoneStation, experiment: Experiment, tmp_path: Path
 ) -> None:

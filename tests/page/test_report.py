@@ -8,13 +8,17 @@ import pypdfium2 as pdfium
 import pytest
 from playwright.sync_api import Browser
 
+from groundstation.palette import colour
+from groundstation.report.compare_report import write as write_comparison
 from groundstation.report.report import write_report
 from shoal.messages.messages import Mode
+from tests.groundstation.report.comparisons import comparison, variant
 from tests.groundstation.synthetic import Script, write_run
 from tests.page.flights import serious
 
 pytestmark = [pytest.mark.timeout(120), pytest.mark.real_time]
 
+LAWS = comparison(variant("nmpc", 1.0), variant("ownlaw:Pd", 3.0), variant("nmpc-leader-follower", 20.0))
 CHARTS = "document.querySelectorAll('.uplot').length"
 TOO_WIDE = "[...document.querySelectorAll('main, .card, figure')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
 TIMES = "[...document.querySelectorAll('#tracking .u-legend tr:first-child .u-value')].map((e) => e.textContent)"
@@ -88,4 +92,36 @@ def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browse
     name, table = saved("Save the table errors", "tex")
     assert b"\\begin{tabular}{l" in table and b"\\multicolumn" in table
     assert table.count(b"\\\\") == len(rows)
+    page.close()
+
+
+def test_figures_of_a_comparison_are_saved_as_they_are_drawn(browser: Browser, tmp_path: Path) -> None:
+    """A logarithmic axis keeps its numbers whole, dots keep their laws' colours, names end where their axes begin."""
+    (tmp_path / "comparison.json").write_text(LAWS.to_json())
+    write_comparison(tmp_path)
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(f"file://{tmp_path / 'comparison.html'}")
+    assert page.evaluate(TOO_WIDE) == 0
+
+    def saved(what: str) -> bytes:
+        menu = page.get_by_label("Save the figure errors", exact=True)
+        menu.scroll_into_view_if_needed()
+        with page.expect_download() as download:
+            menu.select_option(what)
+        return download.value.path().read_bytes()
+
+    drawn = ElementTree.fromstring(saved("svg-1"))
+    numbers = [
+        node.text for node in drawn.iter("{http://www.w3.org/2000/svg}text") if node.text is not None and node.text.isdigit()
+    ]
+    assert numbers and all(len(number) > 1 or number == "1" for number in numbers), numbers
+    dots = [node for node in drawn.iter("{http://www.w3.org/2000/svg}path") if node.get("opacity") == "0.4"]
+    assert {dot.get("fill") for dot in dots} == {colour(i).lower() for i in range(len(LAWS.variants))}
+    text = pdfium.PdfDocument(saved("pdf-2"))[0].get_textpage()
+    ends = []
+    for law in LAWS.variants:
+        place = text.search(law.name).get_next()
+        assert place is not None
+        ends.append(text.get_charbox(place[0] + len(law.name) - 1)[2])
+    assert max(ends) - min(ends) < 2.0  # points
     page.close()

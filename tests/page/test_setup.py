@@ -245,6 +245,8 @@ def test_a_page_without_the_key_sees_nothing_and_a_program_that_is_gone_is_told(
     bare = browser.new_context().new_page()
     bare.goto(address.partition("#")[0])
     expect(bare.get_by_role("alert")).to_contain_text("the key is missing or wrong")
+    bare.goto(address)  # as it says, in the same tab: a browser takes that for a place on the same page
+    expect(bare.get_by_text("Camera of pool")).to_be_visible()
     assert bare.request.get(address.partition("#")[0] + "live").status == 403
     bare.context.close()
     process.send_signal(signal.SIGINT)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from groundstation.logs.recorder import Recorder
-from shoal.config.experiment import load_experiment
+from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.config.fault_injection import read_request, read_what
 from shoal.errors import ConfigError
 from shoal.frames import Array
@@ -19,7 +19,7 @@ from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.fault_schedule import FaultSchedule, ImuFaults, LinkFaults, faults_after_the_end, require_kinds
-from sim_bridge.in_process.resume import faults_by_hand
+from sim_bridge.in_process.resume import faults_by_hand, load_changed
 from sim_bridge.node.board_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
@@ -273,7 +273,7 @@ def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: 
     lines = [
         "by hand: t=3.100 thruster 1/2 weak 0.4",
         "by hand: t=4.000 for=2 imu 2 gyro 0.1",
-        "by hand: t=5.000 camera frozen",  # a flight without camera cannot have it
+        "by hand: t=5.000 camera frozen",
         "by hand: t=6.000 for=20 thruster 1/4 dead",
         "by hand: before the start for=5 battery 1 sag 2",  # none of the flight's
         "by hand: mended at 9.500 s: thruster 1/2 weak 0.4; mended at 9.500 s: camera frozen; "
@@ -283,8 +283,20 @@ def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: 
     for k, line in enumerate(lines, start=1):
         recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
     recorder.close()
-    assert faults_by_hand(tmp_path) == [
+    assert [fault for _, fault in faults_by_hand(tmp_path)] == [
         "t=3.100 for=6.4 thruster 1/2 weak 0.4",
         "t=4.000 for=2 imu 2 gyro 0.1",
+        "t=5.000 for=4.5 camera frozen",
         "t=6.000 for=3.5 thruster 1/4 dead",
     ]
+
+
+def test_a_fault_that_a_flight_from_a_logged_moment_cannot_have_is_said(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", "name = 'pool'\n", {})
+    for k, line in enumerate(("by hand: t=3.100 thruster 1/2 weak 0.4", "by hand: t=5.000 for=9 radio 2 dead"), start=1):
+        recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
+    recorder.close()
+    (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+    experiment, (left_out,) = load_changed(tmp_path, [], [])
+    assert [fault.what for fault in experiment.sim.faults] == ["thruster 1/2 weak 0.4"]
+    assert f"fly sim-bridge sil {tmp_path / 'experiment.toml'} --fault 't=5.000 for=9 radio 2 dead'" in left_out

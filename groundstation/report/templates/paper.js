@@ -118,23 +118,29 @@
       if (node.closest("defs, clipPath")) continue;
       const style = getComputedStyle(node), matrix = node.getScreenCTM();
       if (node.tagName === "text") {
-        const { a, b } = home.multiply(matrix), size = parseFloat(style.fontSize) * Math.hypot(a, b) * by;
-        const [x, y] = place(matrix, node.x.baseVal.length ? { x: node.x.baseVal[0].value, y: node.y.baseVal[0].value } : { x: 0, y: 0 });
-        items.push(text(node.textContent, x, y, { size, anchor: style.textAnchor, colour: seen(style.fill) ?? INK, angle: (Math.atan2(b, a) * 180) / Math.PI }));
+        const { a, b } = home.multiply(matrix), spans = [...node.querySelectorAll("tspan")]; // a power of ten is several, each with its place
+        for (const part of spans.length ? spans : [node]) {
+          const look = getComputedStyle(part), at = part.x.baseVal.length ? { x: part.x.baseVal[0].value, y: part.y.baseVal[0].value } : { x: 0, y: 0 };
+          const [x, y] = place(matrix, at), size = parseFloat(look.fontSize) * Math.hypot(a, b) * by;
+          items.push(text(part.textContent.trim(), x, y, { size, anchor: look.textAnchor, colour: seen(look.fill) ?? INK, angle: (Math.atan2(b, a) * 180) / Math.PI }));
+        }
         continue;
       }
       const target = node.tagName === "use" ? svg.querySelector(node.getAttribute("href") ?? node.getAttribute("xlink:href")) : node;
       if (!(target instanceof SVGGeometryElement)) continue;
       const moved = node.tagName === "use" ? matrix.translate(node.x.baseVal.value, node.y.baseVal.value) : matrix;
-      const drawn = getComputedStyle(target), [stroke, fill] = [seen(style.stroke) ?? seen(drawn.stroke), seen(node === target ? style.fill : drawn.fill)];
-      const opacity = Number(style.opacity || 1);
+      const own = (name) => (node !== target && !target.style.getPropertyValue(name) && !target.hasAttribute(name) ? style : getComputedStyle(target)).getPropertyValue(name); // what a copied outline does not say itself comes from its copy
+      const [stroke, fill] = [seen(own("stroke")), seen(own("fill"))];
+      const opacity = Number(style.opacity || 1) * Number(own(fill ? "fill-opacity" : "stroke-opacity") || 1);
       for (const part of (target.getAttribute("d") ?? "").split(/(?=M)/).filter((d) => d.trim())) {
         const one = document.createElementNS("http://www.w3.org/2000/svg", "path");
         one.setAttribute("d", part);
-        const long = one.getTotalLength(), steps = Math.min(Math.max(Math.ceil(long / 1.5), 1), 4000);
+        const long = one.getTotalLength(), least = /[acqs]/i.test(part) ? 24 : 1; // a small dot is round, too
+        const steps = Math.min(Math.max(Math.ceil(long / 1.5), least), 4000);
         const points = Array.from({ length: steps + 1 }, (_, k) => place(moved, one.getPointAtLength((long * k) / steps)));
-        const dash = (style.strokeDasharray === "none" ? "" : style.strokeDasharray).split(/[ ,]+/).map(parseFloat).filter((d) => d > 0).map((d) => d * by);
-        items.push({ points, stroke, fill, w: parseFloat(style.strokeWidth || "1") * by, dash, opacity: opacity * Number(style.strokeOpacity || 1) });
+        const dashes = own("stroke-dasharray");
+        const dash = (dashes === "none" ? "" : dashes).split(/[ ,]+/).map(parseFloat).filter((d) => d > 0).map((d) => d * by);
+        items.push({ points, stroke, fill, w: parseFloat(own("stroke-width") || "1") * by, dash, opacity });
       }
     }
     return { items, width: COLUMN_PT[columns], height: box.height * by };
@@ -163,6 +169,12 @@
     return `<svg xmlns="http://www.w3.org/2000/svg" width="${num(w)}pt" height="${num(h)}pt" viewBox="0 0 ${num(w)} ${num(h)}" font-family="${FACE}">\n${parts.join("\n")}\n</svg>\n`;
   }
 
+  // of Helvetica, which every reader of PDF has: widths of the characters from the space to the tilde, in thousandths of the size
+  const HELVETICA = ("278 278 355 556 556 889 667 191 333 333 389 584 278 333 278 278 556 556 556 556 556 556 556 556 556 556 278 278 584 584 584 556 1015 " +
+    "667 667 722 722 667 611 778 722 278 500 667 556 833 722 778 667 778 722 667 611 722 667 944 667 667 611 278 278 278 469 556 333 " +
+    "556 556 500 556 556 278 556 556 222 222 500 222 833 556 556 556 556 333 500 278 556 500 722 500 500 500 334 260 334 584").split(" ").map(Number);
+  const helvetica = (s, size) => Array.from(s, (c) => HELVETICA[c.charCodeAt(0) - 32] ?? 556).reduce((a, b) => a + b, 0) * size * 1e-3;
+
   function asPdf({ items, width: w, height: h }) {
     const rgb = (colour, faint = 1) => [1, 3, 5].map((k) => num(1 - faint * (1 - parseInt(colour.slice(k, k + 2), 16) / 255))).join(" ");
     const latin = { "−": "-", "–": "-", "—": "-", "…": "...", "“": '"', "”": '"', "×": "\xd7" };
@@ -170,7 +182,7 @@
     const body = items.map((item) => {
       if (item.text !== undefined) {
         const angle = (-item.angle * Math.PI) / 180, [c, s] = [Math.cos(angle), Math.sin(angle)];
-        const back = { start: 0, middle: 0.5, end: 1 }[item.anchor] * width(item.text, item.size);
+        const back = { start: 0, middle: 0.5, end: 1 }[item.anchor] * helvetica(item.text, item.size);
         return `BT ${rgb(item.colour)} rg /F1 ${num(item.size)} Tf ${num(c)} ${num(s)} ${num(-s)} ${num(c)} ${num(item.x - back * c)} ${num(h - item.y - back * s)} Tm (${say(item.text)}) Tj ET`;
       }
       const way = item.points.map(([x, y], k) => `${num(x)} ${num(h - y)} ${k ? "l" : "m"}`).join(" ");

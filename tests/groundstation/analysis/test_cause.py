@@ -1,11 +1,13 @@
 """The cause of a run is what a person would name first, and the verdict, the report and the terminal follow it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from groundstation.analysis.cause import missed
 from groundstation.analysis.numbers import mm
-from groundstation.analysis.results import Result
+from groundstation.analysis.results import Check, Result
 from groundstation.report import terminal
 from groundstation.report.report import write_report
 from groundstation.station.process import INTERRUPTED
@@ -136,3 +138,9 @@ def test_a_run_without_a_flight_is_not_judged(tmp_path: Path) -> None:
     result = judged(tmp_path, Script(duration_s=FLOWN_S, started=False, lines=((1.0, "END asked for"),)))
     assert result.cause is not None
     assert (result.cause.text, result.verdict) == ("ended the run", "not judged")
+
+
+def test_a_limit_that_was_missed_by_less_than_is_shown_says_by_how_much() -> None:
+    check = Check("max_after_20s_m", "1-2, y", 0.080016, 0.08, False, "m")
+    assert missed(check).endswith("(1-2, y): 80.0 mm (0.0160 mm beyond), at most 80.0 mm")
+    assert "beyond" not in missed(replace(check, value=0.07999, passed=True)) + missed(replace(check, value=0.09))

@@ -13,7 +13,7 @@ from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import Check, Result
 from groundstation.logs.reader import RunLog, read_log
 from shoal.messages import topics
-from shoal.messages.messages import Mode, RobotState
+from shoal.messages.messages import Mode, RobotState, Truth
 from tests.groundstation import synthetic
 from tests.groundstation.synthetic import Script, write_run
 
@@ -232,6 +232,27 @@ def test_hold_and_resume_leave_the_reference_standing(tmp_path: Path) -> None:
     result = evaluate(series, log)
     assert [(fault.source, fault.text) for fault in result.faults] == [("robot 1", "holding: pose is 0.25 s old")]
     assert not check(result, "faults").passed
+
+
+def test_a_hold_that_was_asked_for_is_no_error(tmp_path: Path) -> None:
+    """Both robots hold for 5 s, 0.2 m beyond their places on the path, and go on."""
+
+    def clock(since_s: float) -> float:
+        return since_s if since_s < 12.0 else 12.0 if since_s < 17.0 else since_s - 5.0
+
+    def mode(robot: int, since_s: float) -> tuple[Mode, str]:
+        return (Mode.HOLDING, "") if 12.0 <= since_s < 17.0 else (Mode.TRACKING, "")
+
+    experiment = write_run(tmp_path, Script(duration_s=40.0, clock=clock, mode=mode))
+    log = read_log(tmp_path / "run.mcap")
+    truths = log.of(topics.TRUTH, Truth)
+    for k, entry in enumerate(truths):
+        if 12.0 <= entry.stamp_ns * 1e-9 - synthetic.START_S < 17.0:
+            moved = dataclasses.replace(entry.message, eta=entry.message.eta + np.array([0.2, 0.0, 0.0, 0.0]))
+            truths[k] = dataclasses.replace(entry, message=moved)
+    result = evaluate(align(experiment, log), log)
+    most_m = result.robots["1"].max_m
+    assert most_m is not None and max(most_m) < 0.1
 
 
 def test_a_robot_that_dies_makes_the_run_incomplete(tmp_path: Path) -> None:

@@ -408,7 +408,7 @@ class Invariants:
                 # a change for the next lap waits while the formation holds; a robot that nobody hears must end it
                 flies = self.pool.mission.state in IN_FLIGHT | AT_REST
                 followed.waited_s += STEP_NS * 1e-9 if flies else 0.0
-                limit_s = (self.pool.mission.plans.laps.lap_s or 0.0) + OVER_WITHIN_S
+                limit_s = getattr(self.pool.mission.plans.flown.path, "lap_s", 0.0) + OVER_WITHIN_S
             else:
                 followed.waited_s = 0.0 if lost else followed.waited_s + STEP_NS * 1e-9
                 limit_s = TRAVEL_WITHIN_S if outcome.order in TRAVELS else OVER_WITHIN_S
@@ -442,7 +442,7 @@ class Invariants:
             assert not refused, f"WAY OUT: PAUSED, but RESUME: {refused}"
         waits = self.pool.core.tuner.status().stage is not GainStage.IDLE and mission.state in IN_FLIGHT | AT_REST
         self.waiting_gains_s = self.waiting_gains_s + STEP_NS * 1e-9 if waits else 0.0
-        limit_s = (mission.plans.laps.lap_s or 0.0) + OVER_WITHIN_S
+        limit_s = getattr(mission.plans.flown.path, "lap_s", 0.0) + OVER_WITHIN_S
         assert self.waiting_gains_s <= limit_s, f"WAY OUT: gains are {self.pool.core.tuner.status().stage.value} for ever"
 
     def _fit(self, robot: int) -> bool:

@@ -7,7 +7,8 @@ import pytest
 
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
-from groundstation.planning.segment import first_segment, sample
+from groundstation.planning.prioritized_planning import never
+from groundstation.planning.segment import PlanSegment, first_segment, sample
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
 from shoal.config.loader import parse_toml
 from shoal.errors import ConfigError
@@ -51,6 +52,11 @@ def furthest_off_m(fleet: SimulatedFleet, flown: Experiment, seconds: float) -> 
     return away_m
 
 
+def shown_plan(fleet: SimulatedFleet, form: str, flown: Experiment | None = None) -> PlanSegment:
+    """Plan that a person is shown before the click."""
+    return fleet.mission.plans.draft(form, flown, fleet.fleet, fleet.now_ns, fleet.mission.state)(never)
+
+
 @pytest.fixture
 def fleet() -> SimulatedFleet:
     started = SimulatedFleet(load_experiment("pool"))
@@ -73,6 +79,23 @@ def test_a_path_that_is_loaded_at_rest_moves_nobody_and_is_what_the_next_start_f
     fleet.run(until_there_s)
     assert furthest_off_m(fleet, with_flight(fleet.experiment, other()), 20.0) < 0.05
     until(fleet, MissionState.DONE, 40.0)
+
+
+def test_the_way_home_is_in_no_lap() -> None:
+    fleet = SimulatedFleet(load_experiment("pool", ["path.lap_s=20", "path.diameter_m=0.4", "duration_s=200"]))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    fleet.run(50.0)
+    assert ask(fleet, CommandKind.RETURN) == ""
+    until(fleet, MissionState.RETURNING, 20.0)
+    flown_s = {lap.number: lap.time_s for lap in fleet.core.laps.laps() if lap.number}
+    reason, _ = fleet.core.request_gains({"controller.nmpc.turning_m": 0.2}, True, fleet.fleet, fleet.now_ns)
+    assert reason == "this path has no laps"
+    until(fleet, MissionState.DONE, 60.0)
+    after_s = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
+    assert after_s.pop(0) > 5.0
+    assert after_s == flown_s and sorted(after_s) == [1, 2, 3]
 
 
 def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: SimulatedFleet) -> None:
@@ -150,7 +173,7 @@ def test_a_draft_of_a_form_is_the_form_that_is_then_flown(fleet: SimulatedFleet,
         fleet.run(2.0)
     assert fleet.mission.state is state
     before = fleet.mission.segment
-    drafted = fleet.mission.plans.draft_form(form, fleet.fleet, fleet.now_ns, state)()
+    drafted = shown_plan(fleet, form)
     assert fleet.mission.segment is before and fleet.mission.plan_request is None
     assert ask(fleet, CommandKind.FORMATION, form) == ""
     while fleet.mission.segment is before:
@@ -196,3 +219,21 @@ def test_a_file_changes_form_into_an_order_of_its_robots() -> None:
     assert np.allclose(ends["[2,1]"], ends["[1,2]"][::-1])
     with pytest.raises(ConfigError, match=r"order = \[2\]"):
         load_experiment("pool", [change.replace("[2,1]", "[2]")])
+
+
+def test_a_draft_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
+    """At rest and from a hold, of another form and of another path: with the ways into place, and on to its end."""
+    flown = with_flight(fleet.core.mission.plans.flown, other())
+    for held in (False, True):
+        if held:
+            assert ask(fleet, CommandKind.START) == ""
+            until(fleet, MissionState.RUNNING, 20.0)
+            fleet.run(10.0)
+            assert ask(fleet, CommandKind.HOLD) == ""
+            until(fleet, MissionState.PAUSED, 10.0)
+            fleet.run(3.0)
+        for segment in (shown_plan(fleet, "column 0.9"), shown_plan(fleet, "", flown)):
+            assert segment.transfer_end_s > segment.centre.begin_s
+            begins = {tuple(np.round(t.eta[0, :2], 2)) for t in segment.trajectories.values()}
+            assert begins == {tuple(np.round(view.rest[:2], 2)) for view in fleet.fleet.values()}
+    assert fleet.mission.state is MissionState.PAUSED and newest(fleet)[0] is Progress.DONE  # nobody was asked to fly it

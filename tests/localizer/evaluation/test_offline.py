@@ -319,6 +319,15 @@ def test_a_recording_localized_again_gives_the_same_poses_to_the_bit(recording: 
     assert [row["differing"] for row in other] == [RECORDED - 1] * 2 and other[1]["first_frame"] == 1
 
 
+def test_another_folder_is_refused_with_what_a_recording_is(tmp_path: Path) -> None:
+    for name in ("run.mcap", "experiment.toml"):
+        (tmp_path / name).touch()
+    for folder in (tmp_path, tmp_path / "run.mcap", tmp_path / "nothing"):
+        refused = str(CliRunner().invoke(cli, ["rerun", str(folder)]).exception)
+        assert "missing there (allowed: a folder of `localizer run --record`)" in refused
+        assert (f"sim-bridge rerun {tmp_path}" in refused) is (folder == tmp_path)
+
+
 def test_a_changed_recording_differs(recording: Path, tmp_path: Path) -> None:
     changed = tmp_path / "changed"
     with closing(FrameRecorder(changed, EXPERIMENT)) as recorder:

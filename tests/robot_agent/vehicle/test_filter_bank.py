@@ -22,9 +22,10 @@ def random_bank(seed: int, filters: int = 3) -> Bank:
     random = np.random.default_rng(seed)
     root = random.standard_normal((filters, ERRORS, ERRORS)) * 0.1
     bank = Bank(
-        water_m2ps3=np.array([1e-7, 1e-5, 1e-4])[:filters],
-        place=np.array([0.5, 0.0, 1.0])[:filters],
-        force=np.array([1.0, 1.0, 100.0])[:filters],
+        by_time_m2ps3=np.array([5e-8, 1e-5, 2e-5])[:filters],
+        by_place_mps2=np.array([5e-7, 0.0, 4e-4])[:filters],
+        force_m2ps5=np.array([0.0, 0.0, 3e-3])[:filters],
+        moment_rad2ps5=np.array([0.0, 0.0, 7e-3])[:filters],
         weight=random.dirichlet(np.ones(filters)),
         mean=random.standard_normal((filters, ERRORS)) * 0.01,
         covariance=root @ root.swapaxes(1, 2),
@@ -84,13 +85,16 @@ def test_a_filter_of_the_bank_is_the_dense_one(learns: bool) -> None:
     f = np.eye(ERRORS) + 0.05 * random.standard_normal((ERRORS, ERRORS)) * (random.random((ERRORS, ERRORS)) < 0.2)
     q = random.uniform(0.0, 1e-3, ERRORS)
     p, mean = bank.covariance[2].copy(), bank.mean[2].copy()
-    filter_bank.predict(bank, 1.0, yaw, dt, f, q)
-    # water of another place: the current has grown by dc, u and v have lost it
     cos, sin = math.cos(yaw), math.sin(yaw)
-    g = np.zeros((ERRORS, 2))
+    belief = np.zeros(filter_bank.NUMBERS)
+    belief[[3, 4, 5]], belief[[15, 16]] = (yaw, 0.3, -0.1), (0.2, 0.05)  # over ground: |(0.3 - 0.1i) e^(0.7i) + 0.2 + 0.05i|
+    filter_bank.predict(bank, 1.0, belief, dt, f, q)
+    # water of another place: the current has grown by dc, u and v have lost it. Of a later time: they have not
+    way_m = dt * abs((0.3 - 0.1j) * complex(cos, sin) + 0.2 + 0.05j)
+    g, by_time, force = np.zeros((ERRORS, 2)), np.zeros(ERRORS), np.zeros(ERRORS)
     g[9], g[10], g[3], g[4] = (1.0, 0.0), (0.0, 1.0), (-cos, -sin), (sin, -cos)
-    force = np.where((np.arange(ERRORS) >= 6) & (np.arange(ERRORS) < 9), 100.0, 1.0)
-    p, mean = f @ p @ f.T + np.diag(q * force) + 1e-4 * dt * g @ g.T, f @ mean
+    by_time[9:11], force[6:9] = 2e-5 * dt, np.array([3e-3, 3e-3, 7e-3]) * dt
+    p, mean = f @ p @ f.T + np.diag(q + by_time + force) + 4e-4 * way_m * g @ g.T, f @ mean
     assert bank.covariance[2] == pytest.approx(p, abs=1e-12)
     likelihood = 0.0
     for measured in (

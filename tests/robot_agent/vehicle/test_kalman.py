@@ -95,6 +95,10 @@ CELLS = {
     "noise x 10": ((), 10.0),
     "current": (("sim.plant.current_mps=[0.05,0.08,0.0]",), 1.0),
     "gusts": (("sim.plant.gust_mps=0.03", "sim.plant.gust_s=8.0"), 1.0),
+    "a force of a quarter of the thrust": (
+        ("sim.plant.disturbance_wrench=[1.5,0.0,0.0]", "sim.plant.disturbance_hz=0.02"),
+        1.0,
+    ),
     "too light a file": (("sim.plant.mass_error=0.3", "sim.plant.drag_error=0.3"), 1.0),
 }
 
@@ -153,7 +157,7 @@ def test_gaps_and_nonsense_leave_a_covariance_that_is_one() -> None:
         pose = None if kind > 8 else PoseMeasurement(now_ns - LATE_NS, x, 0.0, 0.02 * k, variance, variance)
         rate = float(random.choice(nonsense)) if kind == 5 else 0.4
         estimate = observer.update(StateMeasurement(pose, 0.3, rate), now_ns)
-        observer.note_wrench(random.uniform(-6.0, 6.0, 3), now_ns)
+        observer.note_wrench(random.uniform(-1.0, 1.0, 3) * vehicle.limits.wrench[:3], now_ns)
         assert estimate is not None or k < 20
         if estimate is not None:
             assert np.isfinite(np.concatenate([estimate.eta, estimate.nu, estimate.disturbance, estimate.action])).all()

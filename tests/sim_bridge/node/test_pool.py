@@ -88,7 +88,7 @@ def test_a_fault_by_hand_is_logged_in_words_that_repeat_it(tmp_path: Path, caplo
     for k, line in enumerate(lines, start=1):
         recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
     recorder.close()
-    repeated = faults_by_hand(tmp_path)
+    repeated = [fault for _, fault in faults_by_hand(tmp_path)]
     # What ended before the start is told, and no fault of a flight from there on.
     assert f"{BY_HAND}before the start for=5 thruster 1/3 dead" in lines
     refused = [line for line in lines if line.startswith("a fault that cannot be made: ")]

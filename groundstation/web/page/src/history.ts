@@ -72,7 +72,7 @@ export function charts(s: Scene, chosen: number): Chart[] {
     },
     {
       id: "inputs",
-      title: `Inputs of robot ${chosen}`,
+      title: `Robot ${chosen}: inputs`,
       unit: "% of limit",
       limit: 100,
       both: true,
@@ -80,7 +80,7 @@ export function charts(s: Scene, chosen: number): Chart[] {
     },
     {
       id: "disturbance",
-      title: `Disturbance on robot ${chosen}`,
+      title: `Robot ${chosen}: disturbance`,
       unit: "mm/s², mrad/s²",
       curves: ["surge", "sway", "heave", "yaw"].map((name, k) => ({ name, value: gamma(k) })),
     },

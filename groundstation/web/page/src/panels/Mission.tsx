@@ -183,7 +183,7 @@ function Folder({ state }: { state: Snapshot }) {
   return (
     <p class="folder">
       {ended.value ? "The run is over; it is in" : "The run is being written to"} <code>{run}</code>
-      {ended.value && "; in a moment this page shows its verdict, figures and replay"}
+      {ended.value ? "; in a moment this page shows its verdict, figures and replay" : ". End run shows its verdict, figures and replay; Return to start, then Start flies again"}
     </p>
   );
 }

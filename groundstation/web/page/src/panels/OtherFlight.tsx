@@ -1,7 +1,7 @@
 /** Another form or another path of the formation: the station plans it, the map shows the plan, one click flies it. Robots at rest
  * fly it with the next start. */
 
-import { effect, type Signal, signal } from "@preact/signals";
+import { computed, effect, type Signal, signal } from "@preact/signals";
 import { nextSerial, order, say } from "../link";
 import { SHAPES } from "../editor/model";
 import { Figures } from "./Figures";
@@ -35,9 +35,11 @@ function words(what: What): string {
   return parts.join(" ");
 }
 
+const stage = computed(() => shown.value?.mission ?? ""); // the plan begins where robots are: a hold or a start makes it another
+
 effect(() => {
   const what = drafting.value;
-  if (what === "" || !connected.value) return;
+  if (what === "" || !connected.value || stage.value === "") return;
   const text = words(what);
   if (text === "") return;
   question.value = nextSerial();

@@ -64,7 +64,7 @@ function dashOf(s: Scene, curve: Chart["curves"][number]): { dash?: number[] } {
 }
 
 function range(chart: Chart, low: number | null, high: number | null): [number, number] {
-  if (low === null || high === null) return chart.both ? [-1, 1] : [0, 1];
+  if (low === null || high === null || (low === 0 && high === 0)) return chart.both ? [-1, 1] : [0, 1];
   const [from, to] = chart.both || chart.id === "disturbance" || chart.id === "battery" ? [low, high] : [0, high];
   const room = 0.08 * Math.max(to - from, chart.id === "battery" ? 0.2 : 1e-3 + 0.2 * Math.abs(to));
   return [from === 0 && low >= 0 ? 0 : from - room, to + room];
@@ -161,7 +161,7 @@ function Plot({ slot }: { slot: number }) {
   return (
     <figure class="plot">
       <figcaption>
-        <select aria-label={`What plot ${slot + 1} shows`} value={chart.id} onChange={(event) => choose(event.currentTarget.value)}>
+        <select aria-label={`What plot ${slot + 1} shows`} title={chart.title} value={chart.id} onChange={(event) => choose(event.currentTarget.value)}>
           {all.map(({ id, title }) => (
             <option key={id} value={id}>
               {title}
@@ -179,13 +179,14 @@ function Plot({ slot }: { slot: number }) {
         <select
           class="save-as"
           aria-label={`Save plot ${slot + 1}: ${chart.title}`}
+          title="Save this plot"
           value=""
           onChange={(event) => {
             save(event.currentTarget.value);
             event.currentTarget.value = "";
           }}
         >
-          <option value="">Save</option>
+          <option value="">⤓</option>
           {CHOICES.map(([what, text]) => (
             <option key={what} value={what}>
               {text}

@@ -83,14 +83,9 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
       data-robot={robot.id}
       data-mode={state?.mode ?? "NONE"}
       style={`--robot: ${robotColour(place)}`}
+      onClick={(event) => choose(robot.id, event.shiftKey || event.ctrlKey || event.metaKey)} // anywhere on it, and by its button for keys
     >
-      <button
-        type="button"
-        class="name"
-        aria-pressed={chosen}
-        title="Choose it; with Shift or Ctrl, choose several"
-        onClick={(event) => choose(robot.id, event.shiftKey || event.ctrlKey || event.metaKey)}
-      >
+      <button type="button" class="name" aria-pressed={chosen} title="Choose it; with Shift or Ctrl, choose several">
         <span class="id">{robot.id}</span>
         <span class="mode">
           {state ? doing(state) : "not heard"}

@@ -85,6 +85,7 @@ export interface State {
 const PERIOD_MS = 300;
 const ANSWERS_WITHIN_MS = 3000; // a state; later, what is shown is old
 const key = new URLSearchParams(location.hash.slice(1)).get("key") ?? "";
+addEventListener("hashchange", () => location.reload()); // the printed address, put into a tab that was open without its key
 const page = crypto.randomUUID();
 
 export const state = signal<State | null>(null);
