@@ -215,6 +215,7 @@ FindingFields = Iterator[tuple[str, str, bool, str, str]]  # key, level, blocks_
 
 
 def _experiment(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Findings about the agent's experiment and code: others than the station's."""
     if state.experiment_hash != experiment.hash:
         text = f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})"
         same = "start its agent with this run's experiment.toml"
@@ -243,6 +244,7 @@ def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -
 
 
 def _pose(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Findings about the robot's newest pose: old, lost, or of an unverified marker."""
     pose, limit_s = view.pose, topics.POSE.max_age_in(experiment.safety)
     if pose is None or view.pose_age_s > limit_s:
         age = "none yet" if pose is None else f"{view.pose_age_s:.1f} s old"
@@ -286,6 +288,7 @@ def _board(experiment: Experiment, view: RobotView, state: RobotState) -> Findin
 
 
 def _link(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Findings about the radio link: lost messages, and a clock that is off."""
     if view.loss > LOSSY:
         yield "link", "warning", True, f"{view.loss:.0%} of its messages are lost", "check the radio link"
     limit_ms, offset_s = experiment.mission.clock_offset_ms, view.clock_offset_s
@@ -296,6 +299,7 @@ def _link(experiment: Experiment, view: RobotView, state: RobotState) -> Finding
 
 
 def _mode(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Findings about the robot's own state: stopped, in trouble, an old plan, thrusters not tested."""
     if state.mode in (Mode.STOPPED, Mode.FAULT):
         remedy = "clear the stop" if state.mode is Mode.STOPPED else "disarm it, and look for the cause"
         yield "mode", "critical", True, f"{state.mode.name.lower()}: {state.fault}", remedy
@@ -310,11 +314,13 @@ def _mode(experiment: Experiment, view: RobotView, state: RobotState) -> Finding
 
 
 def _gains(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Finding about gains that are not the fleet's."""
     if view.other_gains:
         yield "gains", "warning", True, "has other gains than the fleet", "wait: the station gives it the fleet's"
 
 
-def _step(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _lag(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Finding about a robot that is not at its place in the formation's time."""
     if abs(view.behind_s) > OUT_OF_STEP_S:
         how = "behind" if view.behind_s > 0.0 else "ahead of"
         text = f"is {abs(view.behind_s):.1f} s {how} the others"
@@ -322,6 +328,7 @@ def _step(experiment: Experiment, view: RobotView, state: RobotState) -> Finding
 
 
 def _control(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Findings about the control step: a failed solver, a slow step, a plan too near another robot."""
     control, step_us = state.control, state.timing.step_us
     if control is not None and control.solve is Solve.FAILED:
         yield "solve", "critical", False, "the solver failed: neutral", ""
@@ -334,13 +341,14 @@ def _control(experiment: Experiment, view: RobotView, state: RobotState) -> Find
 
 
 def _sight(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Finding about a robot that is not told of obstacles."""
     if state.blind:
         remedy = "is the localizer running? It learns anew by itself, in some seconds, when light and camera stay as they are"
         yield "blind", "warning", experiment.mission.blind == "hold", f"blind: {state.blind}", remedy
 
 
 CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], FindingFields], ...] = (
-    _mode, _experiment, _board, _pose_senders, _pose, _sight, _link, _gains, _step, _control,
+    _mode, _experiment, _board, _pose_senders, _pose, _sight, _link, _gains, _lag, _control,
 )  # fmt: skip
 
 

@@ -23,17 +23,17 @@ from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle, OwnHullFilter, grown_with_age, island_obstacles, obstacles_from_message
 from robot_agent.guidance.reference import Goal, Hold
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
-from robot_agent.inputs import Inputs, StampedPose, StationView, board_reading
+from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import HealthMonitor
 from robot_agent.safety.modes import DRIVE_LASTS_S, ORDERS, POWERED, Health, react, refusal
 from robot_agent.safety.thruster_selftest import ThrusterSelftest
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.config.experiment import Experiment
-from shoal.mavlink.agent_link import Telemetry
 from shoal.messages.camera_coverage import outside_m
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
+    BoardReading,
     Command,
     CommandKind,
     Control,
@@ -196,8 +196,8 @@ class Agent:
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         if self._me.depth_offset_m:
-            depth_m = inputs.telemetry.depth_m - self._me.depth_offset_m
-            inputs = replace(inputs, telemetry=replace(inputs.telemetry, depth_m=depth_m))
+            depth_m = inputs.board.depth_m - self._me.depth_offset_m
+            inputs = replace(inputs, board=replace(inputs.board, depth_m=depth_m))
         self.inputs = inputs
         self._health.note_inputs(inputs, self.mode, now_ns, self._selftest is not None and self._selftest.result == "running")
         solver_failed = self._last is not None and self._last.solve is Solve.FAILED
@@ -211,12 +211,12 @@ class Agent:
         neighbours = self._neighbours(inputs, now_ns)
         obstacles = self.obstacles(inputs, now_ns)
         goal = self._goal(neighbours, obstacles, now_ns)  # time goes on along the path while the board arms
-        if not inputs.telemetry.armed:
+        if not inputs.board.armed:
             goal = None  # a board arms on neutral pulses, and puts out no others
         self._tuning.step(now_ns, self._clock.formation_s)
         output = self._sound(self.controller.step(_measurement(inputs), goal, neighbours, now_ns, obstacles))
         self._last = output
-        pulses = self._pulses(output, inputs.telemetry, now_ns)
+        pulses = self._pulses(output, inputs.board, now_ns)
         self._health.note_pulses(pulses, now_ns)
         self._health.note_output(output, self.mode, now_ns)
         fresh_robots = tuple(n.robot for n in neighbours if n.fresh)
@@ -224,7 +224,7 @@ class Agent:
         plan = self._plan(output, fresh_robots, adrift) if output.estimate is not None else None
         return Outputs(
             pulses,
-            self._health.arming_command(inputs.telemetry.armed, self.mode, now_ns),
+            self._health.arming_command(inputs.board.armed, self.mode, now_ns),
             plan,
             self._state(output, pulses, health, inputs, fresh_robots, self._blind(inputs, now_ns)),
         )
@@ -248,14 +248,14 @@ class Agent:
         """The last step's estimate."""
         return self._last.estimate if self._last is not None else None
 
-    def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
+    def _pulses(self, output: ControlOutput, board: BoardReading, now_ns: int) -> tuple[int, ...]:
         """Return the controller's pulses, or those of a thruster self-test while it runs."""
         if self._selftest is None or self._selftest.result != "running":
             return output.pulse_us
         if self.mode is not Mode.ARMED:
             self._selftest = None
             return output.pulse_us
-        return self._selftest.step(telemetry.armed, telemetry.echo_us, now_ns)
+        return self._selftest.step(board.armed, board.echo_us, now_ns)
 
     def note_sent(self, state: RobotState, now_ns: int) -> None:
         """Take note of the pulses and wrench that really went out at `now_ns` instead of those of the last step (a rerun moves
@@ -365,7 +365,7 @@ class Agent:
         blind: str,
     ) -> RobotState:
         """The robot's state as it is told to station and log."""
-        telemetry, pose = inputs.telemetry, inputs.pose
+        board, pose = inputs.board, inputs.pose
         return RobotState(
             mode=self.mode,
             fault=self._fault,
@@ -381,22 +381,22 @@ class Agent:
             thruster_test=self._selftest.result if self._selftest is not None else "",
             estimate=output.estimate,
             control=output.control,
-            board=board_reading(telemetry) if telemetry.board_ms >= 0 else None,
+            board=board if board.board_ms >= 0 else None,
             timing=StepTiming(pose_age_ms=_known_ms(health.pose_age_s), board_age_ms=_known_ms(health.board_age_s)),
         )
 
 
 def _measurement(inputs: Inputs) -> StateMeasurement:
     """Convert inputs to the observer's measurement; what is not known is None."""
-    telemetry = inputs.telemetry
-    has_board = telemetry.board_ms >= 0
+    board = inputs.board
+    has_board = board.board_ms >= 0
     return StateMeasurement(
         pose=_pose_measurement(inputs.pose),
-        depth_m=telemetry.depth_m if has_board else None,
-        yaw_rate_radps=telemetry.yaw_rate_radps if has_board else None,
-        board_ns=telemetry.arrival_ns if has_board else None,
-        pitch_rad=telemetry.tilt[1] if has_board and telemetry.tilt else 0.0,
-        roll_rad=telemetry.tilt[0] if has_board and telemetry.tilt else 0.0,
+        depth_m=board.depth_m if has_board else None,
+        yaw_rate_radps=board.yaw_rate_radps if has_board else None,
+        board_ns=board.arrival_ns if has_board else None,
+        pitch_rad=board.tilt.item(1) if has_board and board.tilt.size else 0.0,
+        roll_rad=board.tilt.item(0) if has_board and board.tilt.size else 0.0,
     )
 
 

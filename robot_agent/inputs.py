@@ -3,9 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from shoal.mavlink.agent_link import Telemetry
 from shoal.messages.messages import BoardReading, Obstacles, Plan, Pose, Track
 
 
@@ -61,20 +58,9 @@ class Inputs:
     """Inputs of one control step."""
 
     pose: StampedPose | None = None
-    telemetry: Telemetry = field(default_factory=Telemetry)
+    board: BoardReading = field(default_factory=BoardReading)
     station: StationView = field(default_factory=StationView)
     emergency_stop: bool = False
     plans: Mapping[int, StampedPlan] = field(default_factory=dict)
     obstacles: StampedObstacles | None = None
     late_steps: int = 0  # by how much late steps outnumber timely ones of late (step_clock.py)
-
-
-VECTORS = ("acceleration_mps2", "tilt")  # tuples in the telemetry, arrays in the message
-COPIED = tuple(name for name in BoardReading.__dataclass_fields__ if name not in VECTORS)
-
-
-def board_reading(telemetry: Telemetry) -> BoardReading:
-    """The part of a board's telemetry that its robot acts on, as a message."""
-    copied = {name: getattr(telemetry, name) for name in COPIED}
-    acceleration_mps2, tilt = (np.array(getattr(telemetry, name), dtype=np.float64) for name in VECTORS)
-    return BoardReading(acceleration_mps2=acceleration_mps2, tilt=tilt, **copied)

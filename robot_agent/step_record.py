@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from robot_agent.inputs import COPIED, Inputs, StampedObstacles, StampedPlan, StampedPose, StationView, board_reading
+from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from shoal.bus.bus import Received
-from shoal.mavlink.agent_link import Telemetry
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
     BoardReading,
@@ -34,7 +33,7 @@ def record_step(
     clock: Clock,
     pose: Received[Pose] | None,
     heartbeat: Received[StationHeartbeat] | None,
-    telemetry: Telemetry,
+    board: BoardReading,
     plans: Mapping[int, Received[Plan]],
     obstacles: Received[Obstacles] | None,
 ) -> StepInputs:
@@ -45,7 +44,7 @@ def record_step(
         late_steps=late_steps,
         **_seen(clock, pose),
         **_station(clock, heartbeat),
-        board=board_reading(telemetry),
+        board=board,
         plan_robots=tuple(robots),
         plan_sessions=tuple(plans[robot].header.session for robot in robots),
         plan_sequences=tuple(plans[robot].header.sequence for robot in robots),
@@ -71,7 +70,7 @@ def inputs_of(record: StepInputs, plans: Mapping[int, Plan], obstacles: Obstacle
     instants = zip(record.plan_robots, record.plan_instants_ns, strict=True)
     return Inputs(
         pose=StampedPose(record.pose, record.pose_instant_ns) if record.pose is not None else None,
-        telemetry=_telemetry(record.board) if record.board is not None else Telemetry(),
+        board=record.board or BoardReading(),
         station=station_view(record, now_ns),
         emergency_stop=record.heartbeat is not None and record.heartbeat.emergency_stop,
         plans={robot: StampedPlan(plans[robot], instant_ns) for robot, instant_ns in instants if robot in plans},
@@ -114,9 +113,3 @@ def _station(clock: Clock, heartbeat: Received[StationHeartbeat] | None) -> dict
         "station_stamp_ns": heartbeat.header.stamp_ns,
         "station_instant_ns": clock.instant_ns(heartbeat),
     }
-
-
-def _telemetry(reading: BoardReading) -> Telemetry:
-    x, y, z = reading.acceleration_mps2.tolist()
-    tilt = tuple(reading.tilt.tolist())
-    return Telemetry(acceleration_mps2=(x, y, z), tilt=tilt, **{name: getattr(reading, name) for name in COPIED})

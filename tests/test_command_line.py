@@ -27,6 +27,7 @@ from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Rep
 from shoal.runtime.cli_options import as_run, experiments
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.sil.ports import free_port
+from tests.forked import ended
 
 pytestmark = pytest.mark.long
 
@@ -202,7 +203,7 @@ def test_codes_for_what_cannot_be_done() -> None:
     ],
 )
 def test_an_error_names_the_argument_that_was_typed(words: str, named: str) -> None:
-    code, _, reason = ended("sim_bridge", *words.split())
+    code, _, reason = ended("sim-bridge", *words.split())
     assert code == 2 and named in reason and ("--set" in reason) is ("--set" in words)
 
 
@@ -211,8 +212,8 @@ def test_an_error_names_the_argument_that_was_typed(words: str, named: str) -> N
     [
         *(("groundstation", words) for words in ("log report", "log compare", "log replay", "log label", "log delete --yes")),
         ("groundstation", "log export --out tables"),
-        ("sim_bridge", "rerun"),
-        ("sim_bridge", "sil --from"),
+        ("sim-bridge", "rerun"),
+        ("sim-bridge", "sil --from"),
     ],
 )
 def test_a_folder_without_a_run_is_refused(tmp_path: Path, module: str, words: str) -> None:
@@ -233,11 +234,6 @@ def test_a_comparison_that_cannot_be_flown_leaves_no_folder(tmp_path: Path, monk
     for out in ([], ["--out", "mine"]):
         assert CliRunner().invoke(sim_bridge, ["compare", "pool", "--laws", "nowhere:Law", "--seeds", "1", *out]).exit_code
     assert not list(tmp_path.iterdir())
-
-
-def ended(*arguments: str) -> tuple[int, str, str]:
-    done = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout, done.stderr
 
 
 def test_a_dry_run_says_what_would_be_flown_and_leaves_nothing(tmp_path: Path) -> None:
@@ -272,7 +268,7 @@ def test_a_dry_run_looks_at_the_way_to_the_robots_too(tmp_path: Path) -> None:
 
 def test_a_run_that_is_none_is_named(tmp_path: Path) -> None:
     for program, *words in (
-        ("sim_bridge", "rerun", str(tmp_path)),
+        ("sim-bridge", "rerun", str(tmp_path)),
         ("groundstation", "log", "replay", str(tmp_path)),
         ("groundstation", "log", "export", str(tmp_path), "--out", str(tmp_path / "out"), "--foxglove"),
     ):

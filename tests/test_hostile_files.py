@@ -172,6 +172,7 @@ def a_png(width: int, height: int) -> bytes:
     )
 
 
+@pytest.mark.long
 def test_a_small_file_of_a_gigapixel_is_refused(tmp_path: Path) -> None:
     picture = tmp_path / "a.png"
     picture.write_bytes(a_png(32_000, 32_000))

@@ -41,7 +41,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "messages": {"config", "errors", "frames"},
         "bus": {"config", "errors", "messages", "system"},
         "runtime": {"bus", "config", "errors", "messages", "system"},
-        "mavlink": {"errors", "runtime", "system"},
+        "mavlink": {"errors", "messages", "runtime", "system"},
     },
     "localizer": {
         "kernels": set(),
@@ -302,6 +302,7 @@ def _base_install() -> set[str]:
     return distributions
 
 
+@pytest.mark.long
 def test_the_agent_runs_on_the_base_install() -> None:
     """Import all of the agent in a fresh interpreter: nothing that only the other roles install may come along."""
     base = _base_install() | {"shoal", "setuptools", "pip"}

@@ -171,7 +171,7 @@ class _Station:
 
     def status(self) -> Status:
         views = {robot: self.fleet.view(robot, LinkMonitor(), self.clock) for robot in self.fleet.states}
-        return Status(MissionState.RUNNING, "", views=views)
+        return Status(state=MissionState.RUNNING, views=views)
 
     def request(
         self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = ""

@@ -44,10 +44,9 @@ from shoal.bus.bus import Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import load_experiment
-from shoal.mavlink.agent_link import Telemetry
 from shoal.messages import topics
 from shoal.messages.codec import Header, protobuf_class
-from shoal.messages.messages import Pose, Track
+from shoal.messages.messages import BoardReading, Pose, Track
 from shoal.messages.topics import Role, Topic
 from shoal.runtime.runtime import WallClock
 from sim_bridge.sil.ports import free_port
@@ -163,7 +162,9 @@ def _control(address: str, pipe: Connection, stop: Any) -> None:
                 continue
             now_ns = clock.now_ns()
             pose = Pose(0.3, 0.2, 0.1, received.message.covariance, Track.MARKER, True, 0.9, 0.3)
-            inputs = Inputs(StampedPose(pose, now_ns), Telemetry(board_ms=1, arrival_ns=now_ns), StationView(1, now_ns, 0.0))
+            inputs = Inputs(
+                StampedPose(pose, now_ns), BoardReading(board_ms=1, arrival_ns=now_ns), StationView(1, now_ns, 0.0)
+            )
             state = agent.step(inputs, now_ns).state
             took_ms.append((clock.now_ns() - received.header.stamp_ns) * 1e-6)
             sequences.append(received.header.sequence)

@@ -48,7 +48,8 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
     closest, allowed = result.min_separation_m, 2.0 * experiment.safety.radius_m
     if result.pairs:
         closest_pair = next(pair for pair, figures in result.pairs.items() if figures.min_separation_m == closest)
-        blind = _unknown({f"pair {a}-{b}": series.known_share(series.separation_m(a, b)) for a, b in _pairs(series)})
+        pairs = combinations(series.robots, 2)
+        blind = _unknown({f"pair {a}-{b}": series.known_share(series.separation_m(a, b)) for a, b in pairs})
         passed = closest is not None and closest >= allowed and not blind
         yield Check("separation", blind or f"pair {closest_pair}", closest, allowed, passed, "m", at_least=True)
     yield from _of_contact(series)
@@ -67,6 +68,7 @@ def _of_contact(series: Series) -> Iterator[Check]:
 
 
 def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
+    """Checks of the worst robot's or pair's errors against the experiment's limits."""
     limits, settles = series.experiment.limits, settled(series.asked_s)
     blind = _unknown({f"robot {robot}": series.known_share(r.error, ~r.led_away) for robot, r in series.robots.items()})
     for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
@@ -118,10 +120,6 @@ def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
 def _at_most(name: str, where: str, value: float | None, limit: float, unit: str, is_whole: bool = True) -> Check:
     """A figure that is missing, or not that of the whole flight (`is_whole`), has not been shown to be good."""
     return Check(name, where, value, limit, value is not None and value <= limit and is_whole, unit)
-
-
-def _pairs(series: Series) -> Iterator[tuple[int, int]]:
-    return combinations(series.robots, 2)
 
 
 def _unknown(shares: Mapping[str, float]) -> str:

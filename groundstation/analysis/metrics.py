@@ -129,6 +129,7 @@ def _cameras_out(series: Series, log: RunLog) -> dict[str, float]:
 
 
 def _robot(series: Series, robot: int) -> RobotResult:
+    """Errors of one robot in the judged part of the flight; RMS after 20 s are of its settled part."""
     mine = series.robots[robot]
     states = mine.states
     window = _within(states.time_s, series)
@@ -174,6 +175,7 @@ def _end(log: RunLog, robot: int) -> RobotEnd:
 
 
 def _pair(series: Series, a: int, b: int) -> PairResult:
+    """Errors of a pair of robots against their formation, and their least separation."""
     one, other = series.robots[a], series.robots[b]
     apart = series.separation_m(a, b)
     baseline = None

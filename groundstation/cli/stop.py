@@ -84,9 +84,9 @@ class ProgramGroup(TyperGroup):
     """The program's commands. What stands before `stop` is an argument of it; `mission stop` and `order stop` are it too."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the program's own options."""
-        at = next((place for place, word in enumerate(args) if word in self.commands), 0)
-        if args[at : at + 1] == [NAME] or args[at : at + 2] in ([group, NAME] for group in GROUPS):
+        """Parse the program's own options, after a `stop` has come to the front: all other words are its arguments."""
+        first = next((place for place, word in enumerate(args) if word in self.commands), 0)
+        if args[first : first + 1] == [NAME] or args[first : first + 2] in ([group, NAME] for group in GROUPS):
             args = [NAME, *(word for word in args if word not in (NAME, *GROUPS))]
         return super().parse_args(ctx, args)
 

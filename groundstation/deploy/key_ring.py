@@ -75,6 +75,7 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = certific
 
 
 def _add(ring: Path, role: str, robot: int, now: datetime, days: float) -> Issued:
+    """Issue a certificate to a process of the fleet, and list it as a member. Raises ConfigError."""
     process = process_name(ROLE_NAMES[role], robot)
     members, root = read_members(ring), _authority(ring)
     common_name = certificate_authority.new_common_name(process)

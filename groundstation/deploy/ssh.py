@@ -154,6 +154,7 @@ def _trouble_of(service: str) -> str:
 
 
 def _parts(target: Target, request: DeployRequest, probe: Probe) -> dict[str, Files]:
+    """Files to send to a board, by the part of its installation."""
     wheel_files = _wheel_files(request.wheels if request.wheels is not None else wheelhouse.wheels(probe))
     parts: dict[str, Files] = {
         "software": [(f"software/{path.name}", path.read_bytes()) for path in wheel_files],

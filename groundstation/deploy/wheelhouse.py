@@ -24,7 +24,7 @@ _TURN = threading.Lock()  # several boards are brought up to date at once: what 
 def wheels(probe: Probe) -> Path:
     """A folder with the wheels for such a board. Raises ConfigError where they cannot be had."""
     key = f"{probe.machine}-{probe.python}-{_source_digest(checkout())}"
-    folder = _cache() / key
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shoal" / "wheels" / key
     with _TURN:
         if not folder.is_dir():
             folder.parent.mkdir(parents=True, exist_ok=True)
@@ -78,10 +78,6 @@ def _source_digest(root: Path) -> str:
     for package in PACKAGES:
         files += [path for path in (root / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
     return digest((str(path.relative_to(root)), path.read_bytes()) for path in files if "node_modules" not in path.parts)
-
-
-def _cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shoal" / "wheels"
 
 
 def _build(probe: Probe, folder: Path) -> None:

@@ -57,19 +57,19 @@ class _Copy:
             copier.copy(record)
             line = channels.take(record)
             if isinstance(record, Channel) and record.id in channels and not self._viewer:
-                self._add_channels(record.topic, *channels[record.id][:2])
+                self._register_scene(record.topic, *channels[record.id][:2])
             elif line is not None:
                 self._look(line)
         self._writer.finish()
         return self._fleet
 
-    def _add_channels(self, key: str, topic: Topic, robot: int) -> None:
-        """Add the scene's channels to the fleet of a channel."""
+    def _register_scene(self, key: str, topic: Topic, robot: int) -> None:
+        """Register the scene's channels in the copy, beside a recorded channel's `key`: they begin with the same fleet."""
         self._fleet = key.removesuffix(topic.key(robot or None))
         for name, cls in SCHEMAS.items():
             files = build_file_descriptor_set(cls).SerializeToString()
-            viewed = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
-            self._viewer[name] = self._writer.register_channel(f"{self._fleet}{name}", "protobuf", viewed)
+            schema = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
+            self._viewer[name] = self._writer.register_channel(f"{self._fleet}{name}", "protobuf", schema)
 
     def _look(self, line: LogMessage) -> None:
         """A scene shows what was there before its own instant."""

@@ -98,6 +98,7 @@ def _each(experiment: Experiment, fleet: str, topic: topics.Topic, path: str) ->
 
 
 def _plot(title: str, paths: Iterable[Layout]) -> Layout:
+    """A plot panel over time."""
     return {
         "foxglovePanelTitle": title,
         "paths": list(paths),

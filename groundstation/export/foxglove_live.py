@@ -54,7 +54,7 @@ class ViewerServer:
 
     def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
         """Keep the newest bytes of a topic. Called by a network thread, so nothing is decoded here."""
-        now_ns = self._now_ns(header.stamp_ns)
+        now_ns = max(self._clock.arrival_ns(header.stamp_ns), 0)
         self._channel(key, protobuf_class(topic.type)).log(payload, log_time=now_ns)
         if topic in DRAWN:
             robot = int(key.split("/")[-2]) if "{robot}" in topic.name else 0
@@ -70,9 +70,6 @@ class ViewerServer:
                 options = {"schema": schema, "message_encoding": "protobuf", "context": self._context}
                 self._channels[key] = self._sdk.Channel(key, **options)
             return self._channels[key]
-
-    def _now_ns(self, stamp_ns: int) -> int:
-        return max(self._clock.arrival_ns(stamp_ns), 0)
 
     def _draw_until_closed(self) -> None:
         """Draw again and again. An error costs one picture: the run does not depend on viewers."""

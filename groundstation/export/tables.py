@@ -190,6 +190,7 @@ def rows(message: Any) -> int:
 
 
 def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: bool) -> list[TableColumn]:
+    """Columns of a message's field: one for a value, one for each number of an array."""
     label = labels(cls).get(name)
     names = label.columns if label is not None and label.parts else None
     if shape is not None and -1 in shape and not listed:  # a list within a message

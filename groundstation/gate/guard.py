@@ -151,6 +151,7 @@ class Guard:
         self._selector.register(descriptor, READ, lambda events: self._listen(descriptor))
 
     def _listen(self, descriptor: int) -> None:
+        """Read ports of connections to end, which the router's side reports."""
         try:
             read = os.read(descriptor, CHUNK)
         except BlockingIOError:
@@ -288,6 +289,7 @@ class Guard:
     # --- connections to the router
 
     def _pass_on(self, number: int, lane: int) -> None:
+        """Connect a peer that was admitted to the router, by the inner port of its lane."""
         peer, _ = self._peers[number]
         self._want(peer, 0, self._ignore)
         router = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -324,6 +326,7 @@ class Guard:
         self._go_on(link)
 
     def _from_peer(self, link: ProxiedConnection, events: int) -> None:
+        """Pass on bytes of a connection that its peer can send or take."""
         if link.number not in self._links:
             return
         try:

@@ -257,6 +257,7 @@ class Recorder:
             self._warning = f"pictures are not recorded any longer: {free / 1e9:.2f} GB are free on the log's disk"
 
     def _write_pending(self) -> None:
+        """Write the messages that wait, but for those of robots that are later than what is whole."""
         with self._lock:
             until_ns = math.inf if self.whole_until_ns is None else self.whole_until_ns
             waits = [topic.writers == (Role.ROBOT,) and header.stamp_ns > until_ns for topic, _, header, *_ in self._pending]

@@ -153,7 +153,8 @@ class GainUpdater:
             return self._update_returned(fleet, now_ns)
         order = CommandKind.TUNE if self._stage is GainStage.ASKING else CommandKind.ADOPT
         for result in results:
-            if result.command.order is order and result.command.robot in change.robots and _is_about(result, change):
+            is_about_change = result.command.tuning_id == change.message.id and result.command.robot in change.robots
+            if result.command.order is order and is_about_change:
                 if not result.reply.accepted and not result.reply.silent:
                     return self._give_up(f"robot {result.reply.robot} refuses: {result.reply.reason}", fleet, now_ns)
                 if result.reply.accepted:
@@ -177,6 +178,7 @@ class GainUpdater:
         return ()
 
     def _ask(self, order: CommandKind, robots: Sequence[int], change: _Change, now_ns: int) -> tuple[Command, ...]:
+        """Commands of a change of gains that are due to these robots."""
         left_s = max(START_IN_S - (now_ns - self._since_ns) * 1e-9, 0.0)  # a second try counts from the same instant
         return tuple(
             Command(
@@ -244,10 +246,6 @@ class GainUpdater:
         if differing and now_ns - self._since_ns > AGAIN_S * 1e9:
             self._begin_stage(_Change(self._flown, self._config, differing, back=True), now_ns)
         return ()
-
-
-def _is_about(result: CommandResult, change: _Change) -> bool:
-    return result.command.tuning_id == change.message.id
 
 
 def _flies_with(fleet: Fleet, robot: int, change: _Change) -> bool:

@@ -324,6 +324,7 @@ class Mission:
         return self._commands(fleet, now_ns) + self._command_others(fleet, now_ns)
 
     def _commands(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """The commands of this cycle, by the mission's state."""
         if self.state in STAGES:
             return self._drive(STAGES[self.state], fleet, now_ns)
         if self.state is MissionState.SWITCHING:

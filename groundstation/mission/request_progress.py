@@ -243,6 +243,7 @@ class RequestTracker:
         return self._mission_progress(request, mission, fleet)
 
     def _concerned(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[int, ...]:
+        """The robots that have to confirm a request."""
         if request.only:
             return (request.only,)
         if request.order in TUNING:

@@ -101,6 +101,7 @@ def _method(comparison: Comparison) -> str:
 
 
 def _render(comparison: Comparison, failed: list[str]) -> str:
+    """The comparison's page as HTML."""
     drawn = [(name, title, caption, draw(comparison)) for name, title, caption, draw in FIGURES]
     page = environment().get_template("comparison.html")
     return page.render(

@@ -92,6 +92,7 @@ def embedded(plot: TimePlot | BarPlot) -> dict[str, Any]:
 
 
 def _panel(panel: Panel, times: dict[str, int]) -> dict[str, Any]:
+    """A panel as the page draws it; `times` numbers the time axes, which lines share."""
     lines = []
     for line in panel.lines:
         time_s, values = thin(line.time_s, line.values)

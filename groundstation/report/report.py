@@ -103,6 +103,7 @@ def write_pdf(figure: Figure, path: Path) -> None:
 
 
 def render(series: Series, recorded: RunLog, result: Result) -> str:
+    """The report's page as HTML."""
     events = _together(series.timeline_events)
     key_events = _most_telling(events)
     figures = [_draw(kind, series) for kind in FIGURES]

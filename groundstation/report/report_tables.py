@@ -62,12 +62,14 @@ def tables(result: Result) -> list[ReportTable]:
 
 
 def _table(title: str, parts: Iterator[_Part], rows: Sequence[tuple[str, Row]], note: str) -> ReportTable:
+    """A table of the parts that have a value in any row."""
     filled = [part for part in parts if any(c.text != NOTHING for _, row in rows for c in part.cells(row))]
     cells = tuple((name, tuple(tuple(part.cells(row)) for part in filled)) for name, row in rows)
     return ReportTable(title, tuple(part.group for part in filled), cells, note)
 
 
 def _errors() -> Iterator[_Part]:
+    """Columns of a robot's or pair's errors: RMS and largest, of the whole run and after 20 s."""
     yield _Part(Group("RMS, whole run", (*XYZ, YAW)), lambda r: [*_lengths(r.rms_m), Cell(deg(r.rms_yaw_rad))])
     yield _Part(
         Group("RMS after 20 s", (*XYZ, YAW)), lambda r: [*_lengths(r.rms_after_20s_m), Cell(deg(r.rms_yaw_after_20s_rad))]
@@ -77,6 +79,7 @@ def _errors() -> Iterator[_Part]:
 
 
 def _article() -> Iterator[_Part]:
+    """Columns that hold the errors against the article's, and against those of a robot that never moves."""
     yield _Part(Group("RMS, whole run", XYZ), lambda r: _lengths(r.rms_m, r.article.rms_m if r.article else None))
     yield _Part(Group("the article's", XYZ), lambda r: _lengths(r.article.rms_m if r.article else None))
     yield _Part(
@@ -92,6 +95,7 @@ def _article() -> Iterator[_Part]:
 
 
 def _robots() -> Iterator[_Part]:
+    """Columns of what only a robot has: yaw against its command, error of its disturbance, control steps."""
     yield _Part(
         Group("yaw, RMS [deg]", ("whole run", "after 20 s")),
         lambda r: [Cell(deg(r.rms_yaw_command_rad)), Cell(deg(r.rms_yaw_command_after_20s_rad))],
@@ -105,6 +109,7 @@ def _robots() -> Iterator[_Part]:
 
 
 def _wear(count: int) -> Iterator[_Part]:
+    """Columns of the changes per control step, of `count` axes of the wrench and of the pulses."""
     axes = ("surge [N]", "heave [N]", "yaw [N m]", "sway [N]")[:count]
     yield _Part(Group("input steps, whole run", axes), lambda r: _numbers(r.dtau_rms, len(axes)))
     yield _Part(Group("input steps after 20 s", axes), lambda r: _numbers(r.dtau_rms_after_20s, len(axes)))
@@ -118,6 +123,7 @@ def _lengths(values: Sequence[float] | None, others: Sequence[float] | None = No
 
 
 def _against(value: float | None, other: float | None, show: Callable[[float | None], str]) -> Cell:
+    """A value's cell, marked good where it is smaller than the other value, else bad."""
     sense = "" if value is None or other is None else "good" if value < other else "bad"
     return Cell(show(value), sense)
 

@@ -117,7 +117,7 @@ class Station:
         self.core = StationCore(self.experiment, self.mission, self.tuner)
         self.single, self.requests = self.core.single, self.core.requests
         self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
-        self._status = Status(self.mission.state, self.mission.reason)
+        self._status = Status(state=self.mission.state, reason=self.mission.reason)
 
     def cycle(self, now_ns: int) -> None:
         """Read the fleet, step the mission, send its commands, publish the heartbeat."""
@@ -372,13 +372,13 @@ class Station:
         """The station's status, as page and terminals are told it."""
         mission = self.mission
         return Status(
-            mission.state,
-            mission.reason,
-            self.recorder.error,
-            self._lasting(),
-            self.tuner.status(),
-            self.core.laps.laps(),
-            blocking_findings(self.experiment, self.views, mission.plans.starts),
+            state=mission.state,
+            reason=mission.reason,
+            recorder_error=self.recorder.error,
+            lasting=self._lasting(),
+            tuning=self.tuner.status(),
+            laps=self.core.laps.laps(),
+            preflight=blocking_findings(self.experiment, self.views, mission.plans.starts),
             views=self.views,
             requests=self.requests.recent,
             ended=self.ended,

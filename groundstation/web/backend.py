@@ -17,24 +17,30 @@ from shoal.messages.topics import WHOLE_FLEET
 
 
 @dataclass(frozen=True)
-class Status:
-    """Status of the station, as of its last cycle."""
+class ShownStatus:
+    """The part of the station's status that the page shows as it is."""
 
-    state: MissionState
-    reason: str
-    recorder_error: str = ""
-    lasting: Mapping[str, str] = field(default_factory=dict)  # warnings, by key, about what is so from a program's start
+    reason: str = ""  # for the mission's state
     tuning: GainStatus | None = None
     laps: Sequence[Lap] = ()
     preflight: tuple[Finding, ...] = ()  # why not to arm
-    views: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
     requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
     ended: bool = False  # a person has ended the run
-    beat_age_s: float = 0.0  # since the station's last cycle
     flown: str = ""  # name of the experiment whose path is flown, and the path's duration
     flown_s: float = 0.0
-    began_ns: int = 0  # instant at which the formation's flight began: time 0 for people; 0: not known
     led: Mapping[int, str] = field(default_factory=dict)  # robots that a person leads one by one, and what they do
+
+
+@dataclass(frozen=True, kw_only=True)
+class Status(ShownStatus):
+    """Status of the station, as of its last cycle."""
+
+    state: MissionState
+    recorder_error: str = ""
+    lasting: Mapping[str, str] = field(default_factory=dict)  # warnings, by key, about what is so from a program's start
+    views: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
+    beat_age_s: float = 0.0  # since the station's last cycle
+    began_ns: int = 0  # instant at which the formation's flight began: time 0 for people; 0: not known
 
 
 @dataclass(frozen=True)

@@ -128,13 +128,11 @@ class LiveBackend:
                 obstacles=self._age(self._inboxes.obstacles.newest()),
                 mission=status.state.name,
                 mission_text=": ".join(filter(None, (READY, status.reason))) if ready else status.state.value,
-                reason=status.reason,
                 allowed=[
                     order_name(order)
                     for order in CommandKind
                     if order is CommandKind.END or status.state in states_allowing(order)
                 ],
-                preflight=status.preflight,
                 emergency_stop=status.state is MissionState.STOPPED,
                 alarms=alarms(
                     self.experiment,
@@ -147,13 +145,7 @@ class LiveBackend:
                     self._mode == "lockstep",
                 ),
                 present=sorted(self._bus.present),
-                tuning=status.tuning,
-                laps=status.laps,
-                requests=status.requests,
-                ended=status.ended,
-                led=status.led,
-                flown=status.flown,
-                flown_s=status.flown_s,
+                status=status,
                 pace=self._meter.add(now_s, time.monotonic()) if self._mode == "lockstep" else None,
             )
         )

@@ -130,6 +130,7 @@ class LogPlayer:
         return said_ns or 0, said_ns or 0
 
     def _block(self, index: int) -> LogBlock:
+        """A second of the log, read once and kept for a while."""
         if index not in self._blocks:
             begin, block = self.start_ns + index * BLOCK_NS, LogBlock()
             for line in self._log.messages(lambda topic, robot: True, begin, begin + BLOCK_NS):

@@ -16,8 +16,8 @@ import numpy as np
 from groundstation.mission.gain_update import GainStage, GainStatus
 from groundstation.mission.lap_statistics import Lap
 from groundstation.mission.state_machine import order_name
-from groundstation.telemetry import Finding
 from groundstation.web.alarms import Alarm
+from groundstation.web.backend import ShownStatus
 from groundstation.web.scene import floats
 from shoal.frames import Array
 from shoal.messages.messages import Event, Outcome, Plan
@@ -60,44 +60,37 @@ class FleetSnapshot:
     obstacles: AgedMessage = field(default_factory=AgedMessage)
     mission: str = ""
     mission_text: str = ""
-    reason: str = ""
     allowed: Sequence[str] = ()  # orders that the mission takes now
-    preflight: Sequence[Finding] = ()
     emergency_stop: bool = False
     alarms: Sequence[Alarm] = ()
     present: Sequence[str] = ()
-    tuning: GainStatus | None = None
-    laps: Sequence[Lap] = ()
-    requests: Sequence[Outcome] = ()
-    ended: bool = False
-    led: Mapping[int, str] = field(default_factory=dict)
-    flown: str = ""  # name of the experiment whose path is flown, and the path's duration
-    flown_s: float = 0.0
+    status: ShownStatus = field(default_factory=ShownStatus)
     pace: float | None = None  # simulated seconds per second, lately; None for a fleet that lives by the wall clock
 
 
 def snapshot(news: FleetSnapshot) -> dict[str, Any]:
     """The page's view of it all."""
+    status = news.status
     return {
         "time_s": news.time_s,
         "began_s": news.began_s,
         "mission": news.mission,
         "mission_text": news.mission_text,
-        "reason": news.reason,
+        "reason": status.reason,
         "allowed": list(news.allowed),
-        "preflight": [{"robot": finding.robot, "text": finding.message} for finding in news.preflight],
+        "preflight": [{"robot": finding.robot, "text": finding.message} for finding in status.preflight],
         "stop": news.emergency_stop,
         "alarms": [{"level": a.level, "key": a.key, "robot": a.robot, "text": a.text} for a in news.alarms],
         "present": list(news.present),
         "localizer": _aged(news.localizer),
         "obstacles": _aged(news.obstacles),
-        "tuning": _tuning(news.tuning, news.laps),
-        "requests": [_request(outcome) for outcome in news.requests],
-        "ended": news.ended,
+        "tuning": _tuning(status.tuning, status.laps),
+        "requests": [_request(outcome) for outcome in status.requests],
+        "ended": status.ended,
         "pace": news.pace,
-        "flown": news.flown,
-        "flown_s": news.flown_s,
-        "led": [{"robot": robot, "text": text} for robot, text in news.led.items()],
+        "flown": status.flown,
+        "flown_s": status.flown_s,
+        "led": [{"robot": robot, "text": text} for robot, text in status.led.items()],
         "robots": [_robot(robot, view) for robot, view in news.robots.items()],
     }
 

@@ -300,6 +300,7 @@ class SetupSession:
         return sorted(marker_centres(self._grey, self._experiment.localizer.marker_family))
 
     def _fit_pose(self, arguments: Mapping[str, Any]) -> None:
+        """Find the camera's pose from the points that were marked. Raises ConfigError."""
         with self._lock:
             work, grey, lens_fit = self._work, self._grey, self._work.lens_fit
         if work.camera is None:

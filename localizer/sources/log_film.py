@@ -1,8 +1,9 @@
 """SHELL: the film of the camera in a run's log (recording.video = "h264") as a video file, for what reads video files."""
 
 import importlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,15 +28,16 @@ def film_of_log(log: Path, camera: str, out: Path) -> tuple[int, str]:
     name = topics.VIDEO.of_camera(camera).name
     try:
         with os_errors_as_config_errors(log), open_regular(log) as file:
-            stamps_ns = [stamp_ns for stamp_ns, _ in _in_order(_packets(log, file, name))]
-            count = sum(1 for _ in _packets(log, file, name))
+            pictures = [(stamp_ns, _begins(packed)) for stamp_ns, packed in _packets(log, file, name)]
+        kept = _playable(pictures)
+        stamps_ns = [stamp_ns for stamp_ns, _ in pictures[kept]]
         if len(stamps_ns) < 2:
             raise ConfigError(f'{log}: holds no film of the camera (recording.video = "h264" keeps one)')
         # The mean rate: where the recorder left pictures out, a reader must not count on any other.
         rate_hz = Fraction(10**9 * (len(stamps_ns) - 1), stamps_ns[-1] - stamps_ns[0]).limit_denominator(10_000)
         with os_errors_as_config_errors(log), open_regular(log) as file, av.open(str(out), "w") as film:
             stream: Any = None
-            for stamp_ns, packed in _in_order(_packets(log, file, name)):
+            for stamp_ns, packed in islice(_packets(log, file, name), kept.start, kept.stop):
                 stream = _stream(av, film, packed, rate_hz) if stream is None else stream
                 packet = av.Packet(packed)
                 packet.stream, packet.time_base = stream, Fraction(1, CLOCK_HZ)
@@ -47,8 +49,8 @@ def film_of_log(log: Path, camera: str, out: Path) -> tuple[int, str]:
     except av.error.FFmpegError as error:
         raise ConfigError(f"{log}: its film cannot be read: {error}") from None
     why = "what comes before the first whole one, and after the camera's clock was set back"
-    left_out = count - len(stamps_ns)
-    return stamps_ns[0], f"{log}: {left_out} of {count} pictures are left out: {why}" if left_out else ""
+    left_out = len(pictures) - len(stamps_ns)
+    return stamps_ns[0], f"{log}: {left_out} of {len(pictures)} pictures are left out: {why}" if left_out else ""
 
 
 def _packets(log: Path, file: IO[bytes], name: str) -> Iterator[tuple[int, bytes]]:
@@ -58,15 +60,14 @@ def _packets(log: Path, file: IO[bytes], name: str) -> Iterator[tuple[int, bytes
             yield stamp_ns, decode(Video, data, str(log), name).h264
 
 
-def _in_order(packets: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
-    """The packets from the first whole picture to where their stamps no longer rise: no video file has a time twice."""
-    last_ns: int | None = None
-    for stamp_ns, packed in packets:
-        if last_ns is not None and stamp_ns <= last_ns:
-            return
-        if last_ns is not None or _begins(packed):
-            last_ns = stamp_ns
-            yield stamp_ns, packed
+def _playable(pictures: Sequence[tuple[int, bool]]) -> slice:
+    """The pictures, given by stamp and whether one needs no other, from the first whole one to where their stamps no longer
+    rise: no video file has a time twice."""
+    first = next((k for k, (_, begins) in enumerate(pictures) if begins), len(pictures))
+    end = first + 1
+    while end < len(pictures) and pictures[end][0] > pictures[end - 1][0]:
+        end += 1
+    return slice(first, end)
 
 
 def _stream(av: Any, film: Any, packed: bytes, rate_hz: Fraction) -> Any:

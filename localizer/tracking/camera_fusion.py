@@ -93,25 +93,26 @@ class CameraFusion:
         step_s = 0.0 if self._instant_ns is None else max(instant_ns - self._instant_ns, 0) * 1e-9
         self._instant_ns = instant_ns
         self._motions = {robot: predict(motion, step_s) for robot, motion in self._motions.items()}
-        out = {name: why for name in self._names if (why := self._trouble(views.get(name), instant_ns))}
-        new = {name for name, view in views.items() if name not in out and view.instant_ns > self._known_ns[name]}
+        # Which cameras count, and which of those have seen something new
+        unusable = {name: why for name in self._names if (why := self._trouble(views.get(name), instant_ns))}
+        usable_views = {name: view for name, view in views.items() if name not in unusable}
+        renewed = {name for name, view in usable_views.items() if view.instant_ns > self._known_ns[name]}
         self._known_ns |= {name: view.instant_ns for name, view in views.items()}
-        usable_views = {name: view for name, view in views.items() if name not in out}
         candidates = {robot: self._candidates(robot, usable_views, instant_ns) for robot in self._robots}
         doubts = self._doubt(candidates, usable_views, step_s)
-        unwell, out = len(out), out | self._bumps.out
-        if self._bumps.distrusted:
-            new -= self._bumps.distrusted
-            usable_views = {name: view for name, view in usable_views.items() if name not in self._bumps.distrusted}
+        if distrusted := self._bumps.distrusted:  # what the poses themselves have shown
+            renewed -= distrusted
+            usable_views = {name: view for name, view in usable_views.items() if name not in distrusted}
             candidates = {robot: self._candidates(robot, usable_views, instant_ns) for robot in self._robots}
         poses = []
         for robot, robot_candidates in candidates.items():
-            if any(candidate.camera in new for candidate in robot_candidates):
+            if any(candidate.camera in renewed for candidate in robot_candidates):
                 poses.append((robot, self._fused(robot, robot_candidates)))
-            elif not robot_candidates and robot in self._last and any(robot in usable_views[name].poses for name in new):
+            elif not robot_candidates and robot in self._last and any(robot in usable_views[name].poses for name in renewed):
                 poses.append((robot, self._lost(robot)))
-        status = self._status(views, out, unwell, doubts, poses)
-        return FusionResult(tuple(poses), status, "; ".join(doubts), tuple({*out, *self._bumps.distrusted}))
+        unwell, unusable = len(unusable), unusable | self._bumps.out
+        status = self._status(views, unusable, unwell, doubts, poses)
+        return FusionResult(tuple(poses), status, "; ".join(doubts), tuple({*unusable, *distrusted}))
 
     def _trouble(self, view: CameraView | None, instant_ns: int) -> str:
         """The reason why a camera gives no poses; empty if it does."""

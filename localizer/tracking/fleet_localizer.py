@@ -199,6 +199,7 @@ class FleetLocalizer:
     def _views_at(
         self, frame: Pixels, depths: Sequence[Depth], places: Mapping[int, Array], sigmas_m: Mapping[int, float]
     ) -> dict[int, PredictedView]:
+        """Parts of the picture in which robots are looked for, by index, around their predicted places."""
         plates_m = [depths[i].plate_m for i in places]
         tangents = self.view.linearize(list(places.values()), plates_m)
         views, slope_rad, tilts_rad = {}, self._settings.surface_slope_rad, self._tilts_rad()

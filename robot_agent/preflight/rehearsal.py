@@ -13,9 +13,8 @@ from robot_agent.inputs import Inputs, StampedPlan, StampedPose, StationView
 from robot_agent.safety.sensor_checks import LEVEL_MPS2
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
-from shoal.mavlink.agent_link import Telemetry
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, Plan, Pose, Track, Trajectory
+from shoal.messages.messages import BoardReading, Command, CommandKind, Plan, Pose, Track, Trajectory
 
 RADIUS_M, SPEED_MPS, DEPTH_M = 0.5, 0.1, 0.3
 APART_M = 1.2  # between circles' centres: plans are heard, and no robot is in the way
@@ -45,11 +44,11 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
         x, y, yaw = (eta[[0, 1, 3]] + noise.normal(0.0, NOISE)).tolist()
         pose = Pose(x, y, yaw, np.diag(np.square(NOISE)), Track.MARKER, True, 0.9, DEPTH_M)
         station = StationView(STATION, now_ns, 0.0)
-        telemetry = Telemetry(
+        board = BoardReading(
             board_ms=now_ns // 1_000_000,
             arrival_ns=now_ns,
             yaw_rate_radps=SPEED_MPS / RADIUS_M if k > ARM_AFTER else 0.0,
-            acceleration_mps2=LEVEL_MPS2,
+            acceleration_mps2=np.array(LEVEL_MPS2),
             depth_m=told_m,
             armed=k >= ARM_AFTER,
             battery_v=full_v,
@@ -72,7 +71,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
                 )
                 if not reply.accepted:
                     raise RehearsalFailed(f"{order.name} is refused: {reply.reason}")
-        yield agent, Inputs(StampedPose(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
+        yield agent, Inputs(StampedPose(pose, now_ns - 20_000_000), board, station, plans=plans), now_ns
         k += 1
 
 

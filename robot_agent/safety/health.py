@@ -13,6 +13,7 @@ from robot_agent.vehicle.eso import GATE_RAD
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from shoal.config.experiment import Experiment
 from shoal.frames import wrap
+from shoal.mavlink.agent_link import autopilot_name
 from shoal.messages.messages import Guidance, Mode
 
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
@@ -51,7 +52,7 @@ class HealthMonitor:
 
     def note_inputs(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
         """Take in a step's inputs, in the mode up to now. During a thruster self-test that test judges the board's outputs."""
-        newest, telemetry = inputs.pose, inputs.telemetry
+        newest, board = inputs.pose, inputs.board
         if newest is not None and newest.is_seen:
             self._sighted_ns = newest.instant_ns
             if newest.pose.identity_verified or not self._markers:
@@ -66,19 +67,19 @@ class HealthMonitor:
             pose = newest.pose
             self._watch.response.note_pose(newest.instant_ns, complex(pose.x_m, pose.y_m), pose.yaw_rad, newest.variance_m2)
         self._mode = mode
-        self._battery.note_telemetry(telemetry, now_ns)
-        if telemetry.armed or not self._board_armed:
+        self._battery.note_board(board, now_ns)
+        if board.armed or not self._board_armed:
             self._disarmed_at = None
         elif self._disarmed_at is None:
-            self._disarmed_at = telemetry.heartbeats
+            self._disarmed_at = board.heartbeats
         if not testing:
-            self._outputs.note_telemetry(telemetry, now_ns)
+            self._outputs.note_board(board, now_ns)
         if mode not in POWERED:
             self._thrusters.reset()
             self._estimate_ended = False
-        elif telemetry.board_ms >= 0:
-            self._thrusters.note_voltage(telemetry.battery_v, telemetry.arrival_ns)
-            self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
+        elif board.board_ms >= 0:
+            self._thrusters.note_voltage(board.battery_v, board.arrival_ns)
+            self._thrusters.step(board.yaw_rate_radps, board.arrival_ns, board.board_ms * 1_000_000)
 
     def _fits(self, yaw_rad: float) -> bool:
         """True unless a pose's heading is far from the estimate's: a marker that is read the wrong way round."""
@@ -87,14 +88,14 @@ class HealthMonitor:
 
     def _check_sensors(self, inputs: Inputs) -> None:
         """Compare the board's sensors with themselves, with gravity and with the poses."""
-        newest, telemetry = inputs.pose, inputs.telemetry
-        if telemetry.board_ms < 0:
+        newest, board = inputs.pose, inputs.board
+        if board.board_ms < 0:
             return
-        self._pressure.note_sample(telemetry.depth_m, telemetry.arrival_ns)
+        self._pressure.note_sample(board.depth_m, board.arrival_ns)
         if self._uses_gyroscope:
-            self._rate.note_sample(telemetry.yaw_rate_radps, telemetry.arrival_ns)
-            self._gravity.note_sample(telemetry.acceleration_mps2, telemetry.arrival_ns)
-            self._gyroscope.note_rate(telemetry.yaw_rate_radps, telemetry.arrival_ns)
+            self._rate.note_sample(board.yaw_rate_radps, board.arrival_ns)
+            self._gravity.note_sample(board.acceleration_mps2.tolist(), board.arrival_ns)
+            self._gyroscope.note_rate(board.yaw_rate_radps, board.arrival_ns)
             if newest is not None and newest.is_seen:
                 self._gyroscope.note_heading(newest.pose.yaw_rad, newest.instant_ns)
 
@@ -123,18 +124,18 @@ class HealthMonitor:
 
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int, drive_age_s: float = 0.0) -> Health:
         """Return the values that reactions are decided by. Changes nothing."""
-        telemetry = inputs.telemetry
+        board = inputs.board
         observation = self._output.observation if self._output is not None else None
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
-        if self._disarmed_at is not None and (telemetry.heartbeats == 0 or telemetry.heartbeats > self._disarmed_at):
+        if self._disarmed_at is not None and (board.heartbeats == 0 or board.heartbeats > self._disarmed_at):
             disarmed_s = NEVER_S  # two heartbeats say so. By itself, and it knows why: only a person may arm it again
         return Health(
             pose_age_s=_age_s(self._sighted_ns, now_ns),
             identity_age_s=_age_s(self._verified_ns, now_ns),
             station_age_s=inputs.station.age_s,
-            board_age_s=_age_s(telemetry.arrival_ns if telemetry.board_ms >= 0 else None, now_ns),
+            board_age_s=_age_s(board.arrival_ns if board.board_ms >= 0 else None, now_ns),
             board_disarmed_s=disarmed_s,
-            autopilot=telemetry.autopilot_name,
+            autopilot=autopilot_name(board.autopilot),
             gyroscope=self._gyroscope_doubt,
             accelerometer=self._gravity.doubt,
             depth_same_s=self._pressure.same_s,
@@ -180,25 +181,25 @@ class HealthMonitor:
             return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
         if health.autopilot:
             return f"{health.autopilot} is on the link, no thruster board: it takes pulses for a pilot's sticks"
-        if inputs.telemetry.armed:
+        if inputs.board.armed:
             return "the thruster board is still armed"
-        if inputs.telemetry.zero_in_question:
+        if inputs.board.zero_in_question:
             return (
                 "the thruster board restarted, and its depth zero is in question: confirm it on the robot with "
                 "`robot-agent confirm-zero`, or in air have it taken anew with `robot-agent confirm-zero --in-air`"
             )
-        if inputs.telemetry.power_on_depth_m > RESTART_DEPTH_M:
+        if inputs.board.power_on_depth_m > RESTART_DEPTH_M:
             return (
-                f"the thruster board restarted at {inputs.telemetry.power_on_depth_m:.2f} m and took its depth zero there: "
+                f"the thruster board restarted at {inputs.board.power_on_depth_m:.2f} m and took its depth zero there: "
                 "restart it in air; or, if it was in air, confirm that on the robot with `robot-agent confirm-zero`"
             )
-        if inputs.telemetry.objection:
-            return inputs.telemetry.objection
+        if inputs.board.objection:
+            return inputs.board.objection
         if health.pose_age_s > limit_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > limit_s:
             return "its identity is not verified: no marker was read"
-        depth_m = inputs.telemetry.depth_m
+        depth_m = inputs.board.depth_m
         floor_m = self._pool.size_m[2]
         if self._pool.walls and not -DEPTH_SLACK_M <= depth_m <= floor_m + DEPTH_SLACK_M:
             return f"the depth sensor says {depth_m:.2f} m in a pool of {floor_m:g} m: check it, or its zero"

@@ -11,12 +11,12 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_agent.safety.sent_commands import SentCommands
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Ints, IntTable
-from shoal.mavlink.agent_link import CHANNELS, Telemetry
+from shoal.mavlink.agent_link import CHANNELS
+from shoal.messages.messages import BoardReading
 
 TOLERANCE_US = 5
 LATELY_NS = 350_000_000  # 100 ms each way on a bad wire, a board's loop, and what its slew rate takes
@@ -24,9 +24,6 @@ LEAP_US = 200  # a thruster's pulse may take longer for it than to the next comm
 JUDGED_NS = 1_000_000_000  # an echo that happens to look right is no proof: what counts is how much of this was wrong
 LONGEST_NS = 100_000_000  # that one echo speaks for
 KEPT = 512  # commands: half of them are more than that of the fastest loop
-
-
-Integers = NDArray[np.int64]
 
 
 @kernel(part=True)
@@ -79,18 +76,18 @@ class OutputCheck:
         """Take note of pulses that went out. Of two at one instant the last counts."""
         self._sent.note(pulse_us, now_ns)
 
-    def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
+    def note_board(self, board: BoardReading, now_ns: int) -> None:
         """Judge the newest echo. Call it once a step."""
         since_ns, self._judged_ns = now_ns - self._judged_ns, now_ns
-        if not telemetry.armed or len(telemetry.echo_us) != CHANNELS:
+        if not board.armed or len(board.echo_us) != CHANNELS:
             self._wrong.clear()
             self.wrong_s = 0.0
             return
         while self._wrong and self._wrong[0][0] <= now_ns - JUDGED_NS:
             self._wrong.popleft()
-        sent, echo_us = self._sent, np.array(telemetry.echo_us)
+        sent, echo_us = self._sent, np.array(board.echo_us)
         if since_ns > 0 and not is_explained(
-            echo_us, sent.at_ns, sent.commands, sent.count, telemetry.arrival_ns, self._thrusters
+            echo_us, sent.at_ns, sent.commands, sent.count, board.arrival_ns, self._thrusters
         ):
             self._wrong.append((now_ns, min(since_ns, LONGEST_NS)))
         self.wrong_s = sum(ns for _, ns in self._wrong) * 1e-9

@@ -258,7 +258,8 @@ class ThrustResponse:
 
     @property
     def turn_evidence(self) -> float:
-        """Distance by which the direction of the push is beyond what a marker may be turned by, 1 where that is sure."""
+        """Evidence that the marker is turned on its hull: the angle between thrust and acceleration beyond TURNED_RAD, in SURE
+        standard deviations. Above 1 it is sure; 0 while the thrust explains no motion."""
         size, deviation = abs(self.response.gain), self.response.deviation
         if size < PUSHES + SURE * deviation:
             return 0.0

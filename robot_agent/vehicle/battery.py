@@ -11,7 +11,7 @@ import math
 from collections import deque
 
 from shoal.config.vehicle import Battery
-from shoal.mavlink.agent_link import Telemetry
+from shoal.messages.messages import BoardReading
 
 SMOOTH_S = 1.0  # time constant; docs/board.md, rule 6
 REPORTED_S = 5.0  # ten reports of the board: a voltage that is older is not known
@@ -32,19 +32,19 @@ class BatteryMonitor:
         self._noted_ns = self._reported_ns = 0
         self._reports = -1
 
-    def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
+    def note_board(self, board: BoardReading, now_ns: int) -> None:
         """Take in the board's newest report. An old log counts no reports: there every voltage above 0 is one."""
         elapsed_s, self._noted_ns = max(now_ns - self._noted_ns, 0) * 1e-9, now_ns
-        self.charge = telemetry.charge
-        if telemetry.battery_reports == 0 and telemetry.battery_v <= 0.0:
+        self.charge = board.charge
+        if board.battery_reports == 0 and board.battery_v <= 0.0:
             return
         before_v = self._median_v
-        if telemetry.battery_reports != self._reports or telemetry.battery_reports == 0:
-            self._reports, self._reported_ns = telemetry.battery_reports, now_ns
-            self._raw_v.append(telemetry.battery_v)
+        if board.battery_reports != self._reports or board.battery_reports == 0:
+            self._reports, self._reported_ns = board.battery_reports, now_ns
+            self._raw_v.append(board.battery_v)
             self._median_v = sorted(self._raw_v)[len(self._raw_v) // 2]
         if self.voltage_v is None:
-            self.voltage_v = telemetry.battery_v
+            self.voltage_v = board.battery_v
         else:  # until now the median before held
             self.voltage_v += (before_v - self.voltage_v) * -math.expm1(-elapsed_s / SMOOTH_S)
         above_v = self._battery.hysteresis_v if self._low else 0.0

@@ -359,6 +359,7 @@ def unlike_vehicle() -> Array:
 
 
 def vehicle_noise(vehicle: Vehicle) -> Noise:
+    """Process noise that follows from a vehicle: rounding of its pulses, idle thrust, and a hand that pushes it."""
     mass_kg, inertia_kg_m2 = float(vehicle.inertia[0]), float(vehicle.inertia[3])
     surge_n, _, yaw_nm = vehicle.limits.wrench[:3]
     arm_m, turning = _lever_of(vehicle)

@@ -440,28 +440,20 @@ def checked_experiment(
     table: dict[str, Any], path: Path, settings: Sequence[str] = (), faults: Sequence[str] = ()
 ) -> Experiment:
     """The experiment of a parsed file; `table` is changed. Raises ConfigError."""
-    _insert_files(table, path)
-    for setting in settings:
-        try:
-            apply_setting(table, setting)
-        except ConfigError as error:
-            raise ConfigError(f"--set {error}") from None
-        try:
-            _insert_files(table, path)
-        except ConfigError as error:
-            lines = (line.removeprefix(f"{path}: ") for line in str(error).splitlines())
-            raise ConfigError("\n".join(f"--set {setting}: {line}" for line in lines)) from None
-    _insert_nodes(table)
-    sim = table.setdefault("sim", {}) if faults else None
-    of_file = 0
-    if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
-        of_file = len(sim["faults"])
-        sim["faults"] += map(fault_table, faults)
+    given: dict[str, str] = {}  # options of the command line, by what an error about them begins with
     try:
+        _insert_files(table, path)
+        for setting in settings:
+            given |= {setting.partition("=")[0].strip(): f"--set {setting}: ", setting: "--set ", repr(setting): "--set "}
+            apply_setting(table, setting)
+            _insert_files(table, path)
+        _insert_nodes(table)
+        sim = table.setdefault("sim", {}) if faults else None
+        if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
+            given |= {f"sim.faults.{k}": f"--fault {fault!r}: " for k, fault in enumerate(faults, len(sim["faults"]))}
+            sim["faults"] += map(fault_table, faults)
         return _with_the_vehicles_body(check(Experiment, table, str(path)))
     except ConfigError as error:
-        given = {f"sim.faults.{k}": f"--fault {fault!r}" for k, fault in enumerate(faults, of_file)}
-        given |= {setting.partition("=")[0].strip(): f"--set {setting}" for setting in settings}
         raise ConfigError("\n".join(_of_option(line, path, given) for line in str(error).splitlines())) from None
 
 
@@ -489,11 +481,11 @@ def _with_the_vehicles_body(experiment: Experiment) -> Experiment:
 
 
 def _of_option(line: str, path: Path, given: Mapping[str, str]) -> str:
-    """An error's line, with the option of the command line in the file's place where it is about that option's key."""
+    """An error's line, with the option of the command line in the file's place where it is about that option."""
     about = line.removeprefix(f"{path}: ")
-    for key, option in reversed(list(given.items())):
-        if re.match(rf"{re.escape(key)}[.: ]", about):
-            return f"{option}: {about}"
+    for subject, option in reversed(list(given.items())):
+        if re.match(rf"{re.escape(subject)}[.: ]", about):
+            return f"{option}{about}"
     return line
 
 

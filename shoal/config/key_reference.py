@@ -172,6 +172,7 @@ def _bare(value: dict[str, Any]) -> dict[str, Any]:
 
 
 def _type(value: dict[str, Any]) -> str:
+    """The type of a value in words, from its JSON schema."""
     value = _bare(value)
     if "const" in value or "enum" in value:
         return " or ".join(json.dumps(choice) for choice in value.get("enum", [value.get("const")]))

@@ -317,12 +317,6 @@ class Vehicle(Section):
         return np.stack([way[:, 0], way[:, 2], place[:, 0] * way[:, 1] - place[:, 1] * way[:, 0], way[:, 1]])
 
     @property
-    def four_legs(self) -> Legs:
-        """The legs of a vehicle that has them."""
-        assert self.legs is not None
-        return self.legs
-
-    @property
     def thruster_count(self) -> int:
         """Number of the outputs, from the first on, that are thrusters'; the others are ankles'."""
         return LEGS if self.legs is not None else OUTPUTS

@@ -66,6 +66,7 @@ def kernel(function: Any = None, *, inline: bool = False, part: bool = False) ->
 
 
 def _compiled(function: F, inline: bool, part: bool) -> F:
+    """The kernel of a function, from the cache or compiled now."""
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
     signature = signature_of(function)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
 
+import numpy as np
 from pymavlink.dialects.v20 import common as dialect
 
 from shoal.mavlink.frame_codec import MARKER, Peer
@@ -19,6 +20,7 @@ from shoal.mavlink.framing import LOSS_WINDOW_NS, Receiver, Sender
 from shoal.mavlink.parameter_list import ParameterList
 from shoal.mavlink.power_on_depth import PowerOnDepth
 from shoal.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
+from shoal.messages.messages import BoardReading
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 AGENT_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
@@ -79,30 +81,13 @@ def autopilot_name(autopilot: int) -> str:
     return f"autopilot {autopilot}" + (f" ({entry.name.removeprefix('MAV_AUTOPILOT_')})" if entry else "")
 
 
-@dataclass(frozen=True)
-class Telemetry:
-    """The board's last telemetry, complete as of the burst of `board_ms`. Values are finite and within a sensor's range."""
+@dataclass(frozen=True, eq=False)
+class Telemetry(BoardReading):
+    """The board's last telemetry, complete as of the burst of `board_ms`, and the state of the link."""
 
-    board_ms: int = -1  # the board's time of the last burst; -1: none yet
-    arrival_ns: int = 0  # when that burst was measured, on the receiver's clock; when it was read, until TIMESYNC was answered
-    heading_rad: float = 0.0
-    yaw_rate_radps: float = 0.0  # d/dt of the heading; of a board that does not measure its tilt: about its own axis
-    tilt: tuple[float, ...] = ()  # roll, pitch, and d/dt of them [rad, rad/s]; empty if the board does not measure them
-    acceleration_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)  # specific force, body frame
-    depth_m: float = 0.0
-    battery_v: float = 0.0  # one raw measurement, under whatever load there was; means nothing before the first report
-    battery_reports: int = 0  # how many voltages the board has told; 0: none yet
-    charge: int = 0  # how low the board takes the battery to be, filtered: MAV_BATTERY_CHARGE_STATE, 0 not known
-    armed: bool = False
     hil: bool = False  # the board is in HIL mode: measurements and water are simulated
-    heartbeats: int = 0  # how many times the board has told whether it is armed; 0: that is not known
-    autopilot: int = dialect.MAV_AUTOPILOT_GENERIC  # MAV_AUTOPILOT that the last HEARTBEAT reported
     reset_causes: tuple[str, ...] = ()  # of the board's last reset; empty: not known
     restarted: bool = False  # the board's life did not begin with a power-on in air: its zeros are those kept from before
-    zero_in_question: bool = False  # a person has to confirm the board's depth zero
-    objection: str = ""  # the reason not to arm that the robot's program found besides: of the board's parameters
-    power_on_depth_m: float = 0.0  # of a board that does not report its restarts: where it was switched on, as far as seen
-    echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
     acknowledgements: int = 0
     arm_open: bool = False  # an answer to a request to arm may still come: one that comes now is not about disarming
@@ -111,7 +96,6 @@ class Telemetry:
     clock_offset_ns: int = 0  # board's clock minus ours, by the quickest of the last TIMESYNCs
     round_trip_ns: int = 0  # of the last TIMESYNC
     round_trips: int = 0
-    loss: float = 0.0  # fraction of the board's frames lost over 5 s
     bad_frames: int = 0
     foreign_frames: int = 0
     foreign_peer: Peer | None = None  # system and component of the last intact frame of another sender
@@ -286,7 +270,7 @@ class AgentLink:
             "forged_frames": receiver.refused[SignatureVerdict.FORGED],
             "replayed_frames": receiver.refused[SignatureVerdict.REPLAYED],
         }
-        latest = object.__new__(Telemetry)  # what dataclasses.replace does, which sets 30 frozen fields one after the other
+        latest = object.__new__(Telemetry)  # what dataclasses.replace does, which sets 37 frozen fields one after the other
         latest.__dict__.update(self.telemetry.__dict__ | changes)
         self.telemetry = latest
 
@@ -301,7 +285,7 @@ class AgentLink:
             burst = {
                 "heading_rad": within(message.yaw, -math.tau, math.tau),
                 "yaw_rate_radps": within(_yaw_rate_of(message, tilt), -FASTEST_TURN_RADPS, FASTEST_TURN_RADPS),
-                "tilt": tilt,
+                "tilt": np.array(tilt),
                 "board_ms": message.time_boot_ms,
                 "arrival_ns": self._measured_ns(message.time_boot_ms, now_ns),
             }
@@ -309,7 +293,7 @@ class AgentLink:
             return burst | {"power_on_depth_m": self._power_on.depth_m}
         if kind == "SCALED_IMU":
             unit = STANDARD_GRAVITY_MPS2 / 1000.0
-            return {"acceleration_mps2": (message.xacc * unit, message.yacc * unit, message.zacc * unit)}
+            return {"acceleration_mps2": np.array([message.xacc * unit, message.yacc * unit, message.zacc * unit])}
         if kind == "SCALED_PRESSURE2":
             if math.isnan(message.press_abs):  # not measured, as by a sensor that starts
                 return {}

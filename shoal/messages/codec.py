@@ -108,18 +108,19 @@ def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], type | None
 
 
 @cache
-def _growing(cls: Any) -> tuple[str, ...]:
-    """Names of the arrays of any length."""
+def _row_arrays(cls: Any) -> tuple[str, ...]:
+    """Names of the arrays of any number of rows, the same for all of a message."""
     return tuple(f.name for f in dataclasses.fields(cls) if -1 in f.metadata.get("shape", ()))
 
 
 @cache
 def _wrenches(cls: Any) -> tuple[str, ...]:
+    """Names of the wrenches, which have 3 or 4 numbers each."""
     return tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("wrench"))
 
 
 @cache
-def _numbers(cls: Any) -> tuple[str, ...]:
+def _row_numbers(cls: Any) -> tuple[str, ...]:
     """Names of the integers that say whose each row of the arrays is."""
     return tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("each_row"))
 
@@ -206,14 +207,14 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
         if absent and not optional:
             raise _Invalid(prefix + name, "is missing")
         values[name] = getattr(cls, name) if absent else read(getattr(message, name), prefix + name)
-    first, *others = _growing(cast(Any, cls)) or ("",)
+    first, *others = _row_arrays(cast(Any, cls)) or ("",)
     if wrenches := _wrenches(cast(Any, cls)):
         in_rows = not set(wrenches).isdisjoint((first, *others))  # one for each row of the message's arrays, or one in all
         _shape_wrenches(values, wrenches, len(values[first]) if in_rows else None, prefix)
     for name in others:
         if len(values[name]) != len(values[first]):
             raise _Invalid(prefix + name, f"{len(values[name])} rows, but {first} has {len(values[first])}")
-    for name in _numbers(cast(Any, cls)):
+    for name in _row_numbers(cast(Any, cls)):
         if len(values[name]) != len(values[first]):
             raise _Invalid(prefix + name, f"{len(values[name])} numbers for {len(values[first])} rows of {first}")
     built = object.__new__(cls)
@@ -236,8 +237,9 @@ def _shape_wrenches(values: dict[str, Any], names: tuple[str, ...], rows: int | 
             values[name] = values[name].reshape(rows, fitting[0])
 
 
-def _to_protobuf(message: Any, target: Any) -> Any:
-    for name, _, is_message, _ in _fields(cast(Any, type(message))):
+def _to_protobuf(message: Any, cls: Any, target: Any) -> Any:
+    """Fill in the protobuf message `target` with the fields of message class `cls`: those that a subclass adds stay here."""
+    for name, _, nested, _ in _fields(cls):
         value = getattr(message, name)
         kind = type(value)
         if kind is float or kind is int:
@@ -252,10 +254,10 @@ def _to_protobuf(message: Any, target: Any) -> Any:
             getattr(target, name).extend([_cut(text, LONGEST_TEXT) for text in value] if texts else value)
         elif value is None:
             pass  # absent
-        elif not is_message:
+        elif nested is None:
             setattr(target, name, value)
         else:
-            _to_protobuf(value, getattr(target, name))
+            _to_protobuf(value, nested, getattr(target, name))
     return target
 
 
@@ -405,7 +407,7 @@ def encode(message: Message, stamp_ns: int = 0) -> bytes:
     """The wire form of a message. `stamp_ns` goes into schemas that carry a time of their own."""
     if type(message) in _FOXGLOVE:
         return _FOXGLOVE[type(message)][1](message, stamp_ns)
-    encoded: bytes = _to_protobuf(message, protobuf_class(type(message))()).SerializeToString()
+    encoded: bytes = _to_protobuf(message, type(message), protobuf_class(type(message))()).SerializeToString()
     return encoded
 
 

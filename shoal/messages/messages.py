@@ -258,24 +258,28 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class BoardReading:
-    """The last telemetry of a thruster board, as far as its robot acts on it (Telemetry of shoal/mavlink/agent_link.py)."""
+    """The last telemetry of a thruster board, as far as its robot acts on it. Values are finite and within a sensor's range.
+    The robot's link to its board adds its own state (Telemetry of shoal/mavlink/agent_link.py)."""
 
     board_ms: Annotated[Int64, 1] = -1  # The board's time of the last burst; -1: none yet.
-    arrival_ns: Annotated[Int64, 2] = 0  # Instant of the measurement on the robot's clock.
+    arrival_ns: Annotated[Int64, 2] = 0
+    # Instant of that burst's measurement on the robot's clock; when it was read, until the board's clock is known.
     heading_rad: Annotated[float, 3] = 0.0
     yaw_rate_radps: Annotated[float, 4] = 0.0
-    acceleration_mps2: Annotated[Array, 5, Label("", parts=ACCELERATION[:3], prefix="acceleration_")] = array(
-        3
-    )  # Specific force, in the body frame.
+    # Rate of the heading; about its own axis, of a board that does not measure its tilt.
+    acceleration_mps2: Annotated[Array, 5, Label("", parts=ACCELERATION[:3], prefix="acceleration_")] = array(3)
+    # Specific force, in the body frame.
     tilt: Annotated[Array, 13] = array(-1)  # Roll, pitch [rad] and their rates [rad/s]; empty if not measured.
     depth_m: Annotated[float, 6, Label("Measured depth", "m")] = 0.0
     battery_v: Annotated[float, 7, Label("Battery", "V")] = 0.0
+    # One raw measurement under the present load; meaningless before the first report.
     armed: Annotated[bool, 8] = False
     echo_us: Annotated[tuple[Uint32, ...], 9, Label("Echo", parts=CHANNELS, prefix="echo_")] = ()
+    # Pulses that the board puts out: 4 thrusters, 4 ankles.
     loss: Annotated[float, 10, Label("Board messages lost")] = 0.0  # Fraction of the board's messages lost in the last 5 s.
     charge: Annotated[Uint32, 11] = 0  # MAV_BATTERY_CHARGE_STATE; 0: not known.
     battery_reports: Annotated[Uint32, 12] = 0  # Voltages received from the board.
-    heartbeats: Annotated[Uint32, 14] = 0  # HEARTBEATs received from the board.
+    heartbeats: Annotated[Uint32, 14] = 0  # HEARTBEATs received from the board; 0: whether it is armed is not known.
     autopilot: Annotated[Uint32, 15] = 0  # MAV_AUTOPILOT of the board's HEARTBEAT: 0 or 8 for a thruster board.
     power_on_depth_m: Annotated[float, 16] = 0.0  # Depth at which the board was restarted; 0: not restarted.
     objection: Annotated[str, 17] = ""  # Reason not to arm, from the board's parameters.

@@ -58,6 +58,7 @@ def _width(hint: Any) -> tuple[Any, Any]:
 
 
 def _field(package: str, field: dataclasses.Field[Any], hint: Any) -> tuple[FieldDescriptorProto, type[IntEnum] | None]:
+    """Description of a field, and the enum that it uses, if any. Raises TypeError for one without number."""
     kind, simple = _width(hint)
     nested = nested_message(kind)
     optional = nested is None and may_be_absent(kind)

@@ -56,7 +56,7 @@ def records(file: IO[bytes], skipped: list[str] | None = None) -> Iterator[tuple
     the records themselves cannot be followed. With `skipped` a chunk or an attachment that is damaged in itself is left out
     and named there; without it that is an error too. A channel is declared once, in the chunk of its first message: in place
     of the first damaged chunk come the declarations of the file's end, or nothing behind that chunk could be read."""
-    allowed = Allowance(_size(file))
+    allowed = Allowance(file.seek(0, os.SEEK_END))
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
         raise Damaged("does not begin as MCAP files do")
@@ -243,7 +243,3 @@ def _text(data: bytes, place: int) -> tuple[str, int]:
     if end > len(data):
         raise struct.error(f"a text of {length} bytes")
     return data[place + 4 : end].decode(), end
-
-
-def _size(file: IO[bytes]) -> int:
-    return file.seek(0, os.SEEK_END)

@@ -168,13 +168,13 @@ class BoardProbe:
         """Ask to arm or disarm; the MAV_RESULT, or None if no answer came in half a second."""
         before = self.computer.telemetry.acknowledgements
         self.wire.send(self.computer.arm(arm))
-        answered = self._answered(before)
+
+        def answered() -> bool:
+            return self.computer.telemetry.acknowledgements > before
+
         came = self.stream(frame, 0.5, answered) if frame is not None else self.listen(0.5, answered)
         acknowledged = self.computer.telemetry.acknowledged
         return acknowledged[1] if came and acknowledged is not None else None
-
-    def _answered(self, before: int) -> Callable[[], bool]:
-        return lambda: self.computer.telemetry.acknowledgements > before
 
     def arm(self) -> bool:
         """Arm as specified. Returns True if the board says that it is armed."""

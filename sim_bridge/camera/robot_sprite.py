@@ -177,12 +177,13 @@ class ExposureTables(NamedTuple):
 
 @kernel
 def expose(motions: BodyMotions, probes_px: Cube, exposure_s: float, floor_m: float, tables: ExposureTables) -> None:
-    """Fill the tables. `probes_px` (n, 3, 2) are the pixels of each body's centre and of points PROBE_M beside it along x and
-    y."""
+    """Fill the tables with what a camera sees of each body during an exposure. `probes_px` (n, 3, 2) are the pixels of each
+    body's centre and of points PROBE_M beside it along x and y."""
     eta, nu, tilt, shapes = motions
     parts, px_per_m, poses, attitudes, depths, boxes, shadows = tables
     for i in range(len(eta)):
         radius, height, half = shapes[i, 0], shapes[i, 1], shapes[i, 2]
+        # How large it appears, and in how many poses it has to be drawn
         right = math.hypot(probes_px[i, 1, 0] - probes_px[i, 0, 0], probes_px[i, 1, 1] - probes_px[i, 0, 1])
         down = math.hypot(probes_px[i, 2, 0] - probes_px[i, 0, 0], probes_px[i, 2, 1] - probes_px[i, 0, 1])
         px_per_m[i] = 0.0 if math.isnan(right + down) else 0.5 * (right + down) / PROBE_M
@@ -192,7 +193,7 @@ def expose(motions: BodyMotions, probes_px: Cube, exposure_s: float, floor_m: fl
         parts[i] = k
         cos, sin = math.cos(eta[i, 3]), math.sin(eta[i, 3])
         cr, sr, cp, sp = math.cos(tilt[i, 0]), math.sin(tilt[i, 0]), math.cos(tilt[i, 1]), math.sin(tilt[i, 1])
-        for part in range(k):
+        for part in range(k):  # the pose at the part's instant, its attitude, and how deep its sphere and plate are
             later_s = exposure_s * ((part + 0.5) / k - 0.5)
             pose, turn = poses[i, part], attitudes[i, part]
             pose[0] = eta[i, 0] + later_s * (cos * surge - sin * sway)
@@ -205,6 +206,7 @@ def expose(motions: BodyMotions, probes_px: Cube, exposure_s: float, floor_m: fl
             turn[2, 0], turn[2, 1], turn[2, 2] = -sp, cp * sr, cp * cr
             depths[i, part, 0] = max(pose[2] - 0.7 * radius, 0.0)
             depths[i, part, 1] = max(pose[2] - height * cp * cr, 0.0)
+        # A box around it in its first and last pose, and the corners of the floor that its shadow can reach
         lean = abs(math.sin(math.hypot(tilt[i, 0], tilt[i, 1])))
         reach = max(radius, half + lean * height)
         rise = max(radius, height + lean * half)

@@ -306,12 +306,12 @@ class Executor:
         self._exposed = decode(Tick, payload, "sim-bridge", key)
 
     def _localize(self, exposed: Tick) -> None:
-        """The step of each camera's localizer that has a new frame, and then of what fuses their poses."""
+        """Step the localizer of each camera that has a new frame, and then the fusion of their poses."""
         before = self._frames_ns or (-1,) * len(exposed.frames_ns)
         self._frames_ns = exposed.frames_ns
-        late = [new <= old for new, old in zip(exposed.frames_ns, before, strict=True)]
-        for localizer, is_late in zip(self._localizers.values(), [*late, False], strict=False):
-            if not is_late:
+        has_new_frame = [new_ns > old_ns for new_ns, old_ns in zip(exposed.frames_ns, before, strict=True)]
+        for localizer, is_due in zip(self._localizers.values(), [*has_new_frame, True], strict=False):  # the last one fuses
+            if is_due:
                 localizer.step()
 
     def _others(self) -> None:

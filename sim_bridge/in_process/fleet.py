@@ -24,10 +24,9 @@ from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPos
 from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array, pose_error
-from shoal.mavlink.agent_link import Telemetry
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, Event, Message, Pose, Reply, RobotState, Trajectory
+from shoal.messages.messages import BoardReading, Command, CommandKind, Event, Message, Pose, Reply, RobotState, Trajectory
 from shoal.messages.topics import Topic
 from sim_bridge.fault_schedule import FaultSchedule
 from sim_bridge.node.ideal_localizer import IdealLocalizer
@@ -53,7 +52,7 @@ class SimulatedPlant(Protocol):
     @property
     def eta(self) -> Array: ...
     def advance(self, to_ns: int) -> None: ...
-    def telemetry(self, i: int, now_ns: int) -> Telemetry: ...
+    def telemetry(self, i: int, now_ns: int) -> BoardReading: ...
     def act(self, i: int, outputs: Outputs) -> None: ...
 
 
@@ -112,17 +111,17 @@ class DirectPlant(PlantRun):
             sensors.faults = faults
         return changes
 
-    def telemetry(self, i: int, now_ns: int) -> Telemetry:
+    def telemetry(self, i: int, now_ns: int) -> BoardReading:
         """A board's telemetry of the i-th robot, `now_ns` on the agent's clock."""
         state = self._state
         reading = self._sensors[i].read(state.eta[i], state.nu[i], STILL, state.tilt[i], self._plant.time_s(state))
-        return Telemetry(
+        return BoardReading(
             board_ms=now_ns // 1_000_000,
             arrival_ns=now_ns,
             heading_rad=reading.heading_rad,
             yaw_rate_radps=reading.heading_rate_radps,
-            tilt=reading.tilt,
-            acceleration_mps2=reading.acceleration_mps2,
+            tilt=np.array(reading.tilt),
+            acceleration_mps2=np.array(reading.acceleration_mps2),
             depth_m=reading.depth_m,
             battery_v=self._rest_v[i],
             armed=self._armed[i],
@@ -257,7 +256,7 @@ class AgentFleet:
         pose, adrift, now_ns = self.pose(i), self._newest_obstacles(), self.now_ns + ahead_ns
         inputs = Inputs(
             pose=StampedPose(pose.pose, pose.instant_ns + ahead_ns) if pose is not None else None,
-            telemetry=self._water.telemetry(i, now_ns),
+            board=self._water.telemetry(i, now_ns),
             station=self.station(),
             plans=others,
             obstacles=StampedObstacles(adrift.obstacles, adrift.instant_ns + ahead_ns) if adrift is not None else None,

@@ -94,6 +94,7 @@ class SimulatedCamera:
         self._thread.shutdown()
 
     def _frame(self, exposure: Exposure) -> NDArray[np.uint8]:
+        """Picture of an exposure, with what is broken in it."""
         pixels = self._take_ahead(exposure)  # first: nothing may change while it is being rendered
         if exposure.unmarked != self._unmarked:
             self._unmarked = exposure.unmarked

@@ -63,7 +63,8 @@ def run(
             console.print(
                 f"{campaign.title or campaign.name}: {total} flights, into {folder}", highlight=False, soft_wrap=True
             )
-            for row, is_new in _fly(executor, campaign, kept.rows, _window(workers), stop, console):
+            window = IN_THE_AIR * (workers or os.cpu_count() or 1)  # no worker waits; a cluster's size is unknown
+            for row, is_new in _fly(executor, campaign, kept.rows, window, stop, console):
                 rows[row["index"]] = row
                 if is_new:
                     kept.add(row)
@@ -196,11 +197,6 @@ def _experiment(campaign: Campaign, flight: CampaignFlight) -> Experiment:
     experiment = load_experiment(campaign.experiment, [*settings, NO_CAMERA])
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
     return experiment
-
-
-def _window(workers: int | None) -> int:
-    """Number of flights handed out at a time, enough that no worker waits. The size of a cluster is not known here."""
-    return IN_THE_AIR * (workers or os.cpu_count() or 1)
 
 
 def _rows(journal: str) -> Iterator[dict[str, Any]]:

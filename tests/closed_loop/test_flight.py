@@ -236,8 +236,8 @@ def test_a_step_is_due_when_the_pose_gets_too_old_for_what_the_robot_does() -> N
     hold_ns, neutral_ns = (seen_ns + round(limit_s * 1e9) + 1 for limit_s in (safety.pose_hold_s, safety.pose_neutral_s))
     deadlines = [(agent.react_by_ns, agent.mode)]
     for now_ns in (hold_ns - 1, hold_ns, neutral_ns - 1, neutral_ns):
-        telemetry = replace(agent.inputs.telemetry, arrival_ns=now_ns)
-        agent.step(replace(agent.inputs, station=pool.station(), telemetry=telemetry), now_ns)
+        telemetry = replace(agent.inputs.board, arrival_ns=now_ns)
+        agent.step(replace(agent.inputs, station=pool.station(), board=telemetry), now_ns)
         deadlines.append((agent.react_by_ns, agent.mode))
     assert deadlines[:2] == [(hold_ns, Mode.TRACKING)] * 2
     assert deadlines[2:] == [(neutral_ns, Mode.HOLDING)] * 2 + [(None, Mode.FAULT)]

@@ -3,7 +3,6 @@
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from shoal.messages import topics
 from shoal.messages.messages import Mode, RobotState, Solve, required
 from sim_bridge.in_process.fleet import fly
 from tests.flights.scene_flights import flown_once, prepared
+from tests.forked import ended
 from tests.planted import executed, installed, plant
 
 pytestmark = pytest.mark.long
@@ -198,15 +198,10 @@ def test_a_plant_step_that_does_not_fit_the_control_period_is_refused() -> None:
 # --- the command
 
 
-def sim_bridge(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "sim_bridge", "numeric", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
-
-
 def test_numeric_flights_do_not_fail_for_limits_that_they_cannot_show(tmp_path: Path) -> None:
     assert load_experiment("pool").limits.exposure_to_pwm_p99_ms is not None
-    done = sim_bridge("pool", "--duration", "3", "--out", str(tmp_path))
-    assert done.returncode == 0, done.stdout + done.stderr
+    code, output, errors = ended("sim-bridge", "numeric", "pool", "--duration", "3", "--out", str(tmp_path))
+    assert code == 0, output + errors
 
 
 def test_the_command_leaves_log_result_and_report_whatever_the_locale_and_the_working_folder(tmp_path: Path) -> None:
@@ -240,7 +235,7 @@ def test_the_command_leaves_log_result_and_report_whatever_the_locale_and_the_wo
 
 
 def test_a_plan_that_cannot_be_flown_ends_the_command_with_the_reason(tmp_path: Path) -> None:
-    done = sim_bridge("numeric", "--set", "path.dive_mps=0.5", "--out", str(tmp_path))
-    assert done.returncode == 2
-    assert "robot 1: heave 0.500 m/s exceeds the limit 0.26 by 0.240" in done.stderr
-    assert "Traceback" not in done.stderr
+    code, _, errors = ended("sim-bridge", "numeric", "numeric", "--set", "path.dive_mps=0.5", "--out", str(tmp_path))
+    assert code == 2
+    assert "robot 1: heave 0.500 m/s exceeds the limit 0.26 by 0.240" in errors
+    assert "Traceback" not in errors

@@ -32,6 +32,7 @@ from shoal.runtime.runtime import Stop
 from sim_bridge.sil import commands, launcher
 from sim_bridge.sil.commands import Program, RunOptions
 from sim_bridge.sil.processes import Child, Children
+from tests.forked import ended
 from tests.planted import executed, installed, plant
 from tests.waiting import wait_for_line
 
@@ -117,11 +118,10 @@ def test_the_result_of_thirty_seconds_is_within_the_figures_to_reach(tmp_path: P
 
 def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
     """The output of `sim-bridge rerun --json` for a run."""
-    command = [sys.executable, "-m", "sim_bridge", "rerun", str(folder), "--json", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.stdout, done.stderr
-    robots: list[dict[str, Any]] = json.loads(done.stdout)
-    assert done.returncode == (0 if arguments or all(robot["exact"] for robot in robots) else 1)
+    code, output, errors = ended("sim-bridge", "rerun", str(folder), "--json", *arguments)
+    assert output, errors
+    robots: list[dict[str, Any]] = json.loads(output)
+    assert code == (0 if arguments or all(robot["exact"] for robot in robots) else 1)
     return robots
 
 
@@ -139,9 +139,8 @@ def test_another_weight_would_have_asked_for_other_thrust(lockstep_run: tuple[Pa
 
 
 def go_on(folder: Path, out: Path, *arguments: str) -> tuple[int, str]:
-    command = [sys.executable, "-m", "sim_bridge", "sil", "--from", str(folder), "--out", str(out), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
+    code, output, errors = ended("sim-bridge", "sil", "--from", str(folder), "--out", str(out), *arguments)
+    return code, output + errors
 
 
 def flown(folder: Path) -> Series:

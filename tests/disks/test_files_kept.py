@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.disks.file_commands import COMMANDS
-from tests.disks.forked import EndedCommand, Programs
+from tests.forked import EndedCommand, Programs, failing_disk
 
 pytestmark = pytest.mark.long
 
@@ -23,7 +23,7 @@ MANY = 40  # the same in `make test-slow`; all calls where there are fewer
 
 @pytest.fixture(scope="module")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Programs]:
-    with Programs(tmp_path_factory.mktemp("disk")) as running:
+    with Programs(failing_disk(tmp_path_factory.mktemp("disk"))) as running:
         yield running
 
 

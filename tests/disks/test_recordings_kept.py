@@ -25,7 +25,7 @@ from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.sources.recording import recorded_frames
 from shoal.config.experiment import load_experiment
 from tests.disks import jobs
-from tests.disks.forked import EndedCommand, Programs
+from tests.forked import EndedCommand, Programs, failing_disk
 from tests.groundstation.small_log import sequences
 from tests.localizer.scene import Scene
 
@@ -36,7 +36,7 @@ SEED = int(os.environ.get("DISKS_SEED", "0")) or time.time_ns() % 1_000_000  # p
 
 @pytest.fixture(scope="module")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Programs]:
-    with Programs(tmp_path_factory.mktemp("disk")) as running:
+    with Programs(failing_disk(tmp_path_factory.mktemp("disk"))) as running:
         yield running
 
 

@@ -11,23 +11,17 @@ import pytest
 
 from groundstation.planning import planner
 from shoal.config.experiment import load_experiment
+from tests.forked import ended
 
 pytestmark = pytest.mark.long
 
 DOCS = Path(__file__).parents[2] / "docs"
-PROGRAMS = {"groundstation": "groundstation", "sim-bridge": "sim_bridge"}
 
 
 def shell_lines(page: str) -> list[str]:
     """The commands of a page's shell blocks, without their remarks."""
     blocks = re.findall(r"```sh\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
     return [line.partition("  #")[0].strip() for block in blocks for line in block.splitlines()]
-
-
-def run(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    program, *arguments = shlex.split(line)
-    command = [sys.executable, "-m", PROGRAMS[program], *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=500, check=False)
 
 
 def without_comment_signs(text: str, section: str) -> str:
@@ -42,21 +36,22 @@ def test_the_commands_of_the_tutorial_do_what_it_says_one_after_the_other(tmp_pa
     assert len(before) == 6 and "--one-process" in with_camera
     for line in before:
         line = f"{line} --duration 6" if "numeric" in line else line  # of 60 s
-        done = run(line, tmp_path)
-        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
-    assert run(before[0], tmp_path).returncode == 2  # sim-bridge new again
+        code, output, errors = ended(*shlex.split(line), folder=tmp_path)
+        assert code == 0, f"{line}\n{output}{errors}"
+    code, _, _ = ended(*shlex.split(before[0]), folder=tmp_path)
+    assert code == 2  # sim-bridge new again
     assert list(tmp_path.glob("runs/lab-*/report.html"))
     file = tmp_path / "lab.toml"
-    blind = run(with_camera, tmp_path)
-    assert blind.returncode == 2 and "camera: missing" in blind.stderr
+    code, _, errors = ended(*shlex.split(with_camera), folder=tmp_path)
+    assert code == 2 and "camera: missing" in errors
     file.write_text(without_comment_signs(file.read_text(), "[camera]"))
-    flight = run(with_camera.replace("--duration 3", "--duration 1"), tmp_path)
-    assert "exposure" not in flight.stderr, flight.stderr
-    assert list(tmp_path.glob("runs/lab-*/logs/localizer.log")), flight.stdout + flight.stderr
+    _, output, errors = ended(*shlex.split(with_camera.replace("--duration 3", "--duration 1")), folder=tmp_path)
+    assert "exposure" not in errors, errors
+    assert list(tmp_path.glob("runs/lab-*/logs/localizer.log")), output + errors
 
 
 def test_another_robot_and_a_change_of_the_formation_can_be_flown(tmp_path: Path) -> None:
-    run("sim-bridge new lab", tmp_path)
+    ended("sim-bridge", "new", "lab", folder=tmp_path)
     file = tmp_path / "lab.toml"
     more = re.findall(r"```toml\n(.*?)```", (DOCS / "tutorial.md").read_text(encoding="utf-8"), re.DOTALL)[0]
     shape, robot = more[: more.index("[[robots]]")], more[more.index("[[robots]]") :]

@@ -31,9 +31,10 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.loader import apply_setting, check, read_toml
 from shoal.config.vehicle import Vehicle
 from shoal.errors import ConfigError
-from shoal.mavlink.agent_link import AgentLink, Telemetry
+from shoal.mavlink.agent_link import AgentLink
 from shoal.messages.codec import DecodeError, Header, decode, encode
 from shoal.messages.messages import (
+    BoardReading,
     Command,
     CommandKind,
     Obstacles,
@@ -129,8 +130,8 @@ def agent(data: bytes) -> None:
     for number, order in enumerate((CommandKind.LOAD, CommandKind.ARM, CommandKind.START), start=1):
         station = StationView(1, now_ns, 0.0)
         pose = Pose(0.5, 0.1, 0.2, np.eye(3) * 1e-6, Track.MARKER, True, 1.0, 0.3)
-        telemetry = Telemetry(number, now_ns, acceleration_mps2=LEVEL_MPS2, battery_v=12.0, armed=number > 2)
-        robot.step(Inputs(StampedPose(pose, now_ns), telemetry, station), now_ns)
+        board = BoardReading(number, now_ns, acceleration_mps2=np.array(LEVEL_MPS2), battery_v=12.0, armed=number > 2)
+        robot.step(Inputs(StampedPose(pose, now_ns), board, station), now_ns)
         path = _trajectory()
         command = Command(
             order,
@@ -154,10 +155,10 @@ def _agent_step(robot: Agent, bites: Bites, now_ns: int) -> None:
     kind = bites.byte(8)
     inputs = robot.inputs
     pose = StampedPose(bites.message(Pose), instant()) if kind & 1 else inputs.pose
-    telemetry = dataclasses.replace(inputs.telemetry, arrival_ns=now_ns, armed=True)
+    board = dataclasses.replace(inputs.board, arrival_ns=now_ns, armed=True)
     if kind & 2:
-        telemetry = dataclasses.replace(
-            telemetry,
+        board = dataclasses.replace(
+            board,
             board_ms=bites.byte(),
             arrival_ns=instant(),
             heading_rad=bites.number(),
@@ -167,7 +168,7 @@ def _agent_step(robot: Agent, bites: Bites, now_ns: int) -> None:
         )
     plans = {2: StampedPlan(bites.message(Plan), instant())} if kind & 4 else inputs.plans
     watched = StampedObstacles(bites.message(Obstacles), instant()) if kind & 4 else inputs.obstacles
-    outputs = robot.step(Inputs(pose, telemetry, StationView(1, now_ns, 0.0), False, plans, watched, bites.byte(5)), now_ns)
+    outputs = robot.step(Inputs(pose, board, StationView(1, now_ns, 0.0), False, plans, watched, bites.byte(5)), now_ns)
     assert len(outputs.pulse_us) == 8 and all(1000 <= pulse <= 2000 for pulse in outputs.pulse_us)
     assert robot.mode in POWERED or outputs.pulse_us[:4] == (1500,) * 4
     state = outputs.state

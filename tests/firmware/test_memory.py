@@ -126,6 +126,7 @@ def test_an_order_is_not_obeyed_before_its_timestamp_is_kept(library: ctypes.CDL
     assert armed > 40  # the first ones come while the order before waits: such a one has to be sent again
 
 
+@pytest.mark.long
 def test_an_override_behind_orders_that_wait_is_taken_at_once(library: ctypes.CDLL, keyed: bytes) -> None:
     board = StoredBoard(library, keyed)
     computer = OrderSender(board, 10_000)

@@ -12,6 +12,7 @@ import numpy as np
 from robot_agent.control.nonlinear import tuning
 from shoal.config.plant import PlantConfig
 from shoal.config.vehicle import Vehicle, load_vehicle
+from shoal.messages.messages import required
 
 SPHERICAL = load_vehicle("spherical")
 SWING_S = SPHERICAL.righting.swing_s if SPHERICAL.righting is not None else 1.6
@@ -31,7 +32,7 @@ class ScaledVehicle:
     def settings(self) -> list[str]:
         """The vehicle, and its righting moment in the simulator, as settings of an experiment."""
         length, surface, bulk = self.mass ** (1.0 / 3.0), self.mass ** (2.0 / 3.0), self.mass ** (5.0 / 3.0)
-        mass, legs, thruster = SPHERICAL.mass, SPHERICAL.four_legs, SPHERICAL.thruster
+        mass, legs, thruster = SPHERICAL.mass, required(SPHERICAL.legs), SPHERICAL.thruster
         turning = surface * length**2
         linear = np.array(SPHERICAL.drag.linear) * [surface, surface, surface, turning]
         quadratic = np.array(SPHERICAL.drag.quadratic) * [surface, surface, surface, bulk]

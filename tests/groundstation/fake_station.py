@@ -20,7 +20,7 @@ class FakeStation:
 
     experiment: Experiment
     bus: Bus
-    own_status: Status = field(default_factory=lambda: Status(MissionState.WAITING, ""))
+    own_status: Status = field(default_factory=lambda: Status(state=MissionState.WAITING))
     orders: list[CommandKind] = field(default_factory=list)
     via: Sequence[tuple[float, float]] = ()  # of the last order
     only: int = 0  # the robot that the last order was for

@@ -34,7 +34,7 @@ def experiment() -> Experiment:
 @pytest.fixture
 def desk(browser: Browser, experiment: Experiment) -> Iterator[LoneStation]:
     with lone_station(browser, experiment) as lone:
-        lone.own_status = Status(MissionState.RUNNING, "")
+        lone.own_status = Status(state=MissionState.RUNNING)
         lone.page.goto(lone.url)
         expect(button(lone.page, "You have control")).to_be_visible()
         yield lone
@@ -102,7 +102,7 @@ def test_another_experiments_path_is_drawn_and_asked_for_by_name_or_as_a_file(
 
     desk.draft = plan  # type: ignore[method-assign]
     expect(button(page, "Path…")).to_be_disabled()  # under way
-    desk.own_status = Status(MissionState.PAUSED, "", flown="numeric")
+    desk.own_status = Status(state=MissionState.PAUSED, flown="numeric")
     button(page, "Path…").click()
     page.get_by_label("Experiment whose path is flown").select_option("numeric-disturbed")
     expect(page.get_by_text("can be flown")).to_be_visible()
@@ -122,7 +122,7 @@ def test_another_experiments_path_is_drawn_and_asked_for_by_name_or_as_a_file(
 
 def test_robots_are_given_their_places_and_each_has_one(desk: LoneStation, experiment: Experiment) -> None:
     page, ids = desk.page, [str(robot) for robot in experiment.robot_ids]
-    desk.own_status = Status(MissionState.WAITING, "")
+    desk.own_status = Status(state=MissionState.WAITING)
     button(page, "Formation…").click()
     page.get_by_label("Who takes which place").select_option("own")
     page.get_by_label("Robot at place 1").select_option(ids[1])
@@ -183,7 +183,7 @@ def test_no_order_changes_its_place_when_others_become_possible(desk: LoneStatio
         return [button(desk.page, name).bounding_box() for name in names]
 
     running = places()
-    desk.own_status = Status(MissionState.PAUSED, "")
+    desk.own_status = Status(state=MissionState.PAUSED)
     expect(button(desk.page, "Resume")).to_be_enabled()
     paused = places()
     assert np.all([running == paused, None not in running])

@@ -119,7 +119,7 @@ def test_the_pace_is_set_between_two_keys(desk: LoneStation) -> None:
 
 def test_caps_lock_and_repeats_order_nothing_and_shift_does(desk: LoneStation) -> None:
     page = desk.page
-    desk.own_status = Status(MissionState.PAUSED, "")
+    desk.own_status = Status(state=MissionState.PAUSED)
     expect(button(page, "Resume")).to_be_enabled()
     for letter in "ASDRB":
         press(page, "keydown", f"Key{letter}", letter)  # Caps Lock: a capital without Shift
@@ -153,7 +153,7 @@ def test_shift_space_stops_the_fleet_over_an_open_question_and_answers_nothing(d
 
 def test_a_robot_that_is_not_heard_is_not_called_stopped(desk: LoneStation) -> None:
     page = desk.page
-    desk.own_status = Status(MissionState.STOPPED, "")
+    desk.own_status = Status(state=MissionState.STOPPED)
     page.keyboard.press("Shift+Space")
     for k in range(40):
         for robot in (1, 2):
@@ -224,7 +224,7 @@ def test_space_that_comes_up_after_shift_presses_no_button(desk: LoneStation) ->
 def test_places_that_nobody_sees_take_no_escape(desk: LoneStation, whose: str) -> None:
     """Escape leaves the choice of places while one is shown; else it stops the fleet."""
     page = desk.page
-    desk.own_status = Status(MissionState.RUNNING, "")
+    desk.own_status = Status(state=MissionState.RUNNING)
     tile(page, 1).get_by_role("button").click()
     choose = "Send 1 to…" if whose == "of one robot" else "Go to…"
     button(page, choose).click()

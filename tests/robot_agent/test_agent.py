@@ -93,11 +93,11 @@ def test_an_invalid_step_keeps_the_goal_of_the_step_before_and_the_shape_of_its_
 
 def test_a_depth_offset_is_taken_off_everywhere() -> None:
     """A sensor that says 2 cm too much, and is known to, is one that is right."""
-    true_m = next(rehearse(POOL, 1))[1].telemetry.depth_m
+    true_m = next(rehearse(POOL, 1))[1].board.depth_m
     corrected = load_experiment("pool", ["robots.0.depth_offset_m=0.02"])
     states = []
     for agent, inputs, now_ns in itertools.islice(rehearse(corrected, 1), ARM_AFTER):
-        high = replace(inputs, telemetry=replace(inputs.telemetry, depth_m=true_m + 0.02))
+        high = replace(inputs, board=replace(inputs.board, depth_m=true_m + 0.02))
         states.append(agent.step(high, now_ns).state)
     assert required(states[-1].board).depth_m == pytest.approx(true_m) and required(states[-1].estimate).eta[
         2

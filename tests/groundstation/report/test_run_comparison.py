@@ -1,8 +1,6 @@
 """Runs side by side, and runs as tables: true to their logs."""
 
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +12,7 @@ from groundstation.logs.reader import is_complete
 from groundstation.report.report import evaluated, write_figures
 from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
 from shoal.errors import ConfigError
+from tests.forked import ended
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
 
 pytestmark = pytest.mark.long
@@ -37,11 +36,6 @@ def read(folders: list[Path]) -> list[ComparedRun]:
         series, _, result = evaluated(folder)
         out.append(ComparedRun(folder.name, series, result))
     return out
-
-
-def station(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "groundstation", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=None)
 
 
 def test_figures_are_those_of_the_results(runs: list[Path]) -> None:
@@ -78,16 +72,16 @@ def test_curves_are_the_errors_of_each_run(runs: list[Path]) -> None:
 
 def test_the_command_prints_a_table_and_writes_a_page(runs: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    done = station("log", "compare", *map(str, runs), "--out", str(page))
-    assert done.returncode == 0, done.stderr
-    assert "controller.mpc.horizon" in done.stdout and "[mm]" in done.stdout
+    code, output, errors = ended("groundstation", "log", "compare", *map(str, runs), "--out", str(page))
+    assert code == 0, errors
+    assert "controller.mpc.horizon" in output and "[mm]" in output
     text = page.read_text()
     assert "controller.mpc.horizon" in text and text.count('class="plot"') == 3
     assert "src=" not in text and "href=" not in text
-    alone = station("log", "compare", str(runs[0]))
-    assert alone.returncode == 2 and "two runs or more" in alone.stderr
-    gone = station("log", "compare", str(runs[0]), str(tmp_path))
-    assert gone.returncode == 2 and "run.mcap and experiment.toml are missing there" in gone.stderr
+    code, _, errors = ended("groundstation", "log", "compare", str(runs[0]))
+    assert code == 2 and "two runs or more" in errors
+    code, _, errors = ended("groundstation", "log", "compare", str(runs[0]), str(tmp_path))
+    assert code == 2 and "run.mcap and experiment.toml are missing there" in errors
 
 
 def test_figures_for_a_paper(runs: list[Path], tmp_path: Path) -> None:
@@ -123,7 +117,9 @@ def test_a_cut_log_is_mended_on_request(runs: list[Path], tmp_path: Path) -> Non
     whole, cut = (runs[0] / "run.mcap").read_bytes(), tmp_path / "run.mcap"
     cut.write_bytes(whole[: len(whole) // 2])
     assert not is_complete(cut)
-    mended = station("log", "repair", str(cut))
-    assert mended.returncode == 0 and "the original is kept beside it" in mended.stdout and is_complete(cut)
-    assert "nothing to mend" in station("log", "repair", str(cut)).stdout
-    assert station("log", "repair", str(tmp_path / "none.mcap")).returncode == 2
+    code, output, _ = ended("groundstation", "log", "repair", str(cut))
+    assert code == 0 and "the original is kept beside it" in output and is_complete(cut)
+    code, output, _ = ended("groundstation", "log", "repair", str(cut))
+    assert "nothing to mend" in output
+    code, _, _ = ended("groundstation", "log", "repair", str(tmp_path / "none.mcap"))
+    assert code == 2

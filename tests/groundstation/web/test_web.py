@@ -274,6 +274,7 @@ def test_text_that_is_no_request_is_refused(text: str) -> None:
         protocol.read_request(text)
 
 
+@pytest.mark.long
 @given(st.binary(max_size=300) | st.text(max_size=300))
 def test_no_text_does_harm(text: str | bytes) -> None:
     with contextlib.suppress(protocol.BadRequest):

@@ -25,6 +25,7 @@ from scipy.stats import norm
 from shoal.config.experiment import Experiment
 from shoal.config.perception import Camera
 from shoal.frames import Array
+from shoal.messages.messages import required
 from tests.localizer.photoreal.rows import RobotStates
 
 mi.set_variant("llvm_ad_rgb")
@@ -237,7 +238,7 @@ class Studio:
                 ),
             },
         }  # fmt: skip
-        for k, (x, y) in enumerate(self._experiment.vehicle.four_legs.position_m):
+        for k, (x, y) in enumerate(required(self._experiment.vehicle.legs).position_m):
             ends = ([1.1 * x, 1.1 * y, 0.02], [1.5 * x, 1.5 * y, 0.09])
             parts[f"leg{i}_{k}"] = {
                 "type": "cylinder", "p0": ends[0], "p1": ends[1], "radius": 0.022, "to_world": body,

@@ -16,6 +16,8 @@ from shoal.messages.codec import Header
 from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply
 from shoal.messages.topics import WHOLE_FLEET
 
+pytestmark = pytest.mark.long
+
 DONE = Outcome(1, CommandKind.STOP, Progress.DONE, confirmed=(1, 2))
 FAILED = Outcome(1, CommandKind.STOP, Progress.FAILED, "robot 2 is tracking", confirmed=(1,), waiting=(2,), why=("tracking",))
 

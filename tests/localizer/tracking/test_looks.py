@@ -14,7 +14,7 @@ from localizer.tracking.tilt import Attitude
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array, wrap
-from shoal.messages.messages import Pose, Track
+from shoal.messages.messages import Pose, Track, required
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.plant.fleet import Plant, PlantState
 from sim_bridge.plant.sensors import BoardSensors
@@ -56,7 +56,7 @@ def _experiment(px_per_m: float, seed: int, start: tuple[float, ...] = MIDDLE) -
 def _pulses_us(vehicle: Vehicle, surge_n: float, yaw_nm: float) -> Array:
     """Pulses (1, 8) of thrusters that push ahead with so much in all; the ankles stay level."""
     force_n, pulse_us = np.array(vehicle.thruster.curve).T[::-1]
-    sides_m = np.array(vehicle.four_legs.position_m)[:, 1]
+    sides_m = np.array(required(vehicle.legs).position_m)[:, 1]
     thrust_n = np.clip(surge_n / 4.0 - yaw_nm / (4.0 * sides_m), force_n[0], force_n[-1])
     return np.append(np.interp(thrust_n, force_n, pulse_us), np.full(4, 1500.0))[None]
 

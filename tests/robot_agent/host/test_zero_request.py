@@ -57,7 +57,7 @@ def stepping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[AgentN
 
 def refusal(node: AgentNode) -> str:
     inputs = node.agent.inputs
-    now_ns = inputs.telemetry.arrival_ns
+    now_ns = inputs.board.arrival_ns
     return node.agent._health.arming_refusal(  # the agent says it only in its state, once a step
         inputs, inputs.station.__class__(7, now_ns, 0.03), now_ns
     )
@@ -80,7 +80,7 @@ def test_the_robots_program_does_not_arm_in_question_and_passes_the_confirmation
             break
         threading.Event().wait(0.1)
     assert "in question" not in refusal(stepping)
-    assert stepping.agent.inputs.telemetry.depth_m == pytest.approx(depth_m, abs=0.05)
+    assert stepping.agent.inputs.board.depth_m == pytest.approx(depth_m, abs=0.05)
     assert stepping.mavlink.telemetry.restarted
     assert not (tmp_path / "state" / zero_request.FILE).exists()
 

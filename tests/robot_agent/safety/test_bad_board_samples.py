@@ -96,10 +96,10 @@ def fault_after(change: Callable[[Reports], Reports], times: int) -> str:
     board = RehearsedBoard(change, times)
     pulses_us: tuple[int, ...] = (1500,) * 8
     for k, (agent, inputs, now_ns) in enumerate(itertools.islice(rehearse(POOL, ME), FLOWN)):
-        rate_radps = inputs.telemetry.yaw_rate_radps
-        reports = Reports(SWITCHED_ON_MS + now_ns // MS, inputs.telemetry.armed, pulses_us, rate_radps)
+        rate_radps = inputs.board.yaw_rate_radps
+        reports = Reports(SWITCHED_ON_MS + now_ns // MS, inputs.board.armed, pulses_us, rate_radps)
         board.burst(k, reports, now_ns)
-        outputs = agent.step(replace(inputs, telemetry=board.link.telemetry), now_ns)
+        outputs = agent.step(replace(inputs, board=board.link.telemetry), now_ns)
         pulses_us = outputs.pulse_us
         assert k != BAD - 1 or agent.mode is Mode.TRACKING, outputs.state.fault
     assert (agent.mode is Mode.TRACKING) == (outputs.state.fault == "")

@@ -12,14 +12,13 @@ from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
 from robot_agent.safety.sensor_checks import LEVEL_MPS2
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.experiment import load_experiment
-from shoal.mavlink.agent_link import Telemetry
-from shoal.messages.messages import Control, Estimate, Mode, Pose, Track
+from shoal.messages.messages import BoardReading, Control, Estimate, Mode, Pose, Track
 
 POOL = load_experiment("pool")
 NOW_NS, MS = 10_000_000_000, 1_000_000
 POSE = Pose(0.0, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
-BOARD = Telemetry(
-    board_ms=10_000, arrival_ns=NOW_NS - 20 * MS, acceleration_mps2=LEVEL_MPS2, battery_v=12.4, battery_reports=1,
+BOARD = BoardReading(
+    board_ms=10_000, arrival_ns=NOW_NS - 20 * MS, acceleration_mps2=np.array(LEVEL_MPS2), battery_v=12.4, battery_reports=1,
     echo_us=(1500,) * 8,
 )  # fmt: skip
 STATION = StationView(7, NOW_NS, 0.03)
@@ -48,41 +47,40 @@ def test_a_robot_that_is_well_arms() -> None:
 @pytest.mark.parametrize(
     ("inputs", "station", "reason"),
     [
-        (replace(WELL, telemetry=replace(BOARD, depth_m=POOL.pool.size_m[2] + 0.29)), STATION, ""),
-        (replace(WELL, telemetry=replace(BOARD, depth_m=-0.29)), STATION, ""),
-        (replace(WELL, telemetry=replace(BOARD, depth_m=POOL.pool.size_m[2] + 0.31)), STATION,
+        (replace(WELL, board=replace(BOARD, depth_m=POOL.pool.size_m[2] + 0.29)), STATION, ""),
+        (replace(WELL, board=replace(BOARD, depth_m=-0.29)), STATION, ""),
+        (replace(WELL, board=replace(BOARD, depth_m=POOL.pool.size_m[2] + 0.31)), STATION,
          "the depth sensor says 1.31 m in a pool of 1 m: check it, or its zero"),
-        (replace(WELL, telemetry=replace(BOARD, depth_m=-0.31)), STATION,
+        (replace(WELL, board=replace(BOARD, depth_m=-0.31)), STATION,
          "the depth sensor says -0.31 m in a pool of 1 m: check it, or its zero"),
         (replace(WELL, emergency_stop=True), STATION, "the emergency stop is down"),
         (WELL, StationView(7, NOW_NS, 1.01), "no station is heard"),
         (WELL, StationView(), "no station is heard"),
-        (replace(WELL, telemetry=Telemetry(battery_v=12.4)), STATION, "the thruster board was last heard inf s ago"),
-        (replace(WELL, telemetry=replace(BOARD, arrival_ns=NOW_NS - 200 * MS)), STATION,
+        (replace(WELL, board=BoardReading(battery_v=12.4)), STATION, "the thruster board was last heard inf s ago"),
+        (replace(WELL, board=replace(BOARD, arrival_ns=NOW_NS - 200 * MS)), STATION,
          "the thruster board was last heard 0.20 s ago"),
-        (replace(WELL, telemetry=replace(BOARD, armed=True)), STATION, "the thruster board is still armed"),
-        (replace(WELL, telemetry=replace(BOARD, autopilot=12)), STATION,
+        (replace(WELL, board=replace(BOARD, armed=True)), STATION, "the thruster board is still armed"),
+        (replace(WELL, board=replace(BOARD, autopilot=12)), STATION,
          "autopilot 12 (PX4) is on the link, no thruster board: it takes pulses for a pilot's sticks"),
-        (replace(WELL, telemetry=replace(BOARD, autopilot=8)), STATION, ""),
-        (replace(WELL, telemetry=replace(BOARD, power_on_depth_m=0.2)), STATION,
+        (replace(WELL, board=replace(BOARD, autopilot=8)), STATION, ""),
+        (replace(WELL, board=replace(BOARD, power_on_depth_m=0.2)), STATION,
          "the thruster board restarted at 0.20 m and took its depth zero there: restart it in air; or, if it was in air, "
          "confirm that on the robot with `robot-agent confirm-zero`"),
-        (replace(WELL, telemetry=replace(BOARD, power_on_depth_m=0.04)), STATION, ""),
-        (replace(WELL, telemetry=replace(BOARD, zero_in_question=True)), STATION,
+        (replace(WELL, board=replace(BOARD, power_on_depth_m=0.04)), STATION, ""),
+        (replace(WELL, board=replace(BOARD, zero_in_question=True)), STATION,
          "the thruster board restarted, and its depth zero is in question: confirm it on the robot with "
          "`robot-agent confirm-zero`, or in air have it taken anew with `robot-agent confirm-zero --in-air`"),
-        (replace(WELL, telemetry=replace(BOARD, restarted=True, reset_causes=("watchdog",))), STATION, ""),
-        (replace(WELL, telemetry=replace(BOARD, acceleration_mps2=(0.0, -9.8, 0.0))), STATION, ""),  # one sample
+        (replace(WELL, board=replace(BOARD, acceleration_mps2=np.array([0.0, -9.8, 0.0]))), STATION, ""),  # one sample
         (replace(WELL, pose=None), STATION, "the last pose is inf s old"),
         (replace(WELL, pose=StampedPose(POSE, NOW_NS - 200 * MS)), STATION, "the last pose is 0.20 s old"),
         (replace(WELL, pose=StampedPose(replace(POSE, track=Track.COAST), NOW_NS)), STATION, "the last pose is inf s old"),
         (replace(WELL, pose=StampedPose(replace(POSE, identity_verified=False), NOW_NS)), STATION,
          "its identity is not verified: no marker was read"),
-        (replace(WELL, telemetry=replace(BOARD, battery_v=0.0, battery_reports=0)), STATION,
+        (replace(WELL, board=replace(BOARD, battery_v=0.0, battery_reports=0)), STATION,
          "the battery's voltage has not been told by the thruster board yet"),
-        (replace(WELL, telemetry=replace(BOARD, battery_v=10.4)), STATION,
+        (replace(WELL, board=replace(BOARD, battery_v=10.4)), STATION,
          "the battery has 10.4 V, needs 10.8 V since it was below 10.5 V"),
-        (replace(WELL, telemetry=replace(BOARD, charge=3)), STATION,
+        (replace(WELL, board=replace(BOARD, charge=3)), STATION,
          "the thruster board does not arm with this battery: charge state 3, 12.4 V"),
     ],
 )  # fmt: skip
@@ -94,10 +92,10 @@ def test_a_robot_that_leans_or_whose_accelerometer_is_turned_does_not_arm() -> N
     monitor = HealthMonitor(POOL)
     for k in range(40):
         at_ns = NOW_NS - (40 - k) * 50 * MS
-        board = replace(BOARD, arrival_ns=at_ns, acceleration_mps2=(0.0, -9.8, 0.0))
-        monitor.note_inputs(replace(WELL, pose=StampedPose(POSE, at_ns), telemetry=board), Mode.DISARMED, at_ns)
+        board = replace(BOARD, arrival_ns=at_ns, acceleration_mps2=np.array([0.0, -9.8, 0.0]))
+        monitor.note_inputs(replace(WELL, pose=StampedPose(POSE, at_ns), board=board), Mode.DISARMED, at_ns)
         monitor.note_output(OUTPUT._replace(observation=observation(0.0)), Mode.DISARMED, at_ns)
-    reason = monitor.arming_refusal(replace(WELL, telemetry=replace(board, arrival_ns=NOW_NS - MS)), STATION, NOW_NS)
+    reason = monitor.arming_refusal(replace(WELL, board=replace(board, arrival_ns=NOW_NS - MS)), STATION, NOW_NS)
     assert reason.startswith("accelerometer in doubt: off gravity by ")
 
 
@@ -105,19 +103,19 @@ def test_a_board_that_reports_disarmed_once_is_not_asked_to_arm() -> None:
     monitor = HealthMonitor(POOL)
     for k, armed in enumerate([True, False, False, True]):
         now_ns = NOW_NS + 500 * k * MS
-        inputs = replace(WELL, telemetry=replace(BOARD, armed=armed, heartbeats=(1, 2, 2, 3)[k]))
+        inputs = replace(WELL, board=replace(BOARD, armed=armed, heartbeats=(1, 2, 2, 3)[k]))
         monitor.note_inputs(inputs, Mode.TRACKING, now_ns)
         assert monitor.health(inputs, False, now_ns).board_disarmed_s < 1.5
         assert monitor.arming_command(armed, Mode.TRACKING, now_ns) is None
     for k, heartbeats in enumerate([4, 5]):
-        inputs = replace(WELL, telemetry=replace(BOARD, armed=False, heartbeats=heartbeats))
+        inputs = replace(WELL, board=replace(BOARD, armed=False, heartbeats=heartbeats))
         monitor.note_inputs(inputs, Mode.TRACKING, NOW_NS + (2000 + 50 * k) * MS)
         assert (monitor.health(inputs, False, NOW_NS).board_disarmed_s > 1.5) is (k == 1)
 
 
 def test_to_ask_how_a_robot_is_changes_nothing() -> None:
     monitor = HealthMonitor(POOL)
-    wrong = replace(WELL, telemetry=replace(BOARD, armed=True, echo_us=(1700,) * 8))
+    wrong = replace(WELL, board=replace(BOARD, armed=True, echo_us=(1700,) * 8))
     monitor.note_pulses((1500,) * 8, NOW_NS - 1000 * MS)
     for k in range(3):
         monitor.note_inputs(wrong, Mode.TRACKING, NOW_NS + 50 * k * MS)

@@ -7,7 +7,8 @@ import pytest
 
 from robot_agent.safety.output_check import OutputCheck
 from shoal.config.experiment import load_experiment
-from shoal.mavlink.agent_link import AgentLink, Telemetry
+from shoal.mavlink.agent_link import AgentLink
+from shoal.messages.messages import BoardReading
 from sim_bridge.thruster_board.board import ThrusterBoard
 
 MS = 1_000_000
@@ -15,14 +16,14 @@ STILL = (1500,) * 8
 AHEAD = (1600, 1600, 1600, 1600, 1500, 1500, 1500, 1500)
 
 
-def wrong_s(check: OutputCheck, telemetry: Telemetry, now_ns: int) -> float:
-    """After a step that has looked at this telemetry."""
-    check.note_telemetry(telemetry, now_ns)
+def wrong_s(check: OutputCheck, board: BoardReading, now_ns: int) -> float:
+    """After a step that has looked at this reading."""
+    check.note_board(board, now_ns)
     return check.wrong_s
 
 
-def said(echo_us: tuple[int, ...], at_ns: int, armed: bool = True) -> Telemetry:
-    return replace(Telemetry(), board_ms=at_ns // MS, arrival_ns=at_ns, echo_us=echo_us, armed=armed)
+def said(echo_us: tuple[int, ...], at_ns: int, armed: bool = True) -> BoardReading:
+    return replace(BoardReading(), board_ms=at_ns // MS, arrival_ns=at_ns, echo_us=echo_us, armed=armed)
 
 
 def test_an_echo_between_two_commands_is_on_its_way() -> None:

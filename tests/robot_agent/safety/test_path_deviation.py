@@ -68,6 +68,7 @@ def test_where_a_path_sets_off_at_once_all_arrive_anew() -> None:
     assert watch.left
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speed_mps", [0.1, 0.2, 0.3, 0.4])
 def test_robot_that_starts_from_rest_on_a_fast_path_flies_it(speed_mps: float) -> None:
     fleet = flew(load_experiment("straight", [f"path.speed_mps={speed_mps}", "duration_s=15"]))
@@ -98,6 +99,7 @@ def harm(broken: str, at_s: float, seed: int, settings: Sequence[str] = ()) -> t
     return max(off_m), flown[-1][0].fault
 
 
+@pytest.mark.long
 def test_a_thruster_that_goes_on_as_it_was_told_does_little_harm_in_still_water() -> None:
     """It sticks when the robot has just come onto its path, which it then cannot keep, if nobody feels that."""
     off_m, _ = harm("1/2 stuck", 3.0, 1, ["safety.watch_thrusters=false"])

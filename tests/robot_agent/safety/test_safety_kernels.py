@@ -11,6 +11,7 @@ NS = 1_000_000_000
 STEP_NS = NS // 20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(8))
 def test_evidence_is_that_of_inverse_matrices(seed: int) -> None:
     random, k, n, least, most = np.random.default_rng(seed), 5, 23, 0.6, 2.0
@@ -30,6 +31,7 @@ def test_evidence_is_that_of_inverse_matrices(seed: int) -> None:
     assert evidence == pytest.approx(best, rel=1e-7)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lag_s", [0.0, 0.1])
 @pytest.mark.parametrize("seed", range(4))
 def test_moments_follow_their_commands_with_the_lag(seed: int, lag_s: float) -> None:

@@ -152,19 +152,20 @@ def fault_of(change: Callable[[Inputs, int], Inputs], steps: int) -> str:
     for k, (agent, inputs, now_ns) in enumerate(
         itertools.islice(rehearse(load_experiment("pool"), 1), ARM_AFTER + 60 + steps)
     ):
-        noisy = replace(inputs.telemetry, depth_m=inputs.telemetry.depth_m + 0.002 * math.sin(17.0 * k))
-        inputs = replace(inputs, telemetry=noisy)
+        noisy = replace(inputs.board, depth_m=inputs.board.depth_m + 0.002 * math.sin(17.0 * k))
+        inputs = replace(inputs, board=noisy)
         fault = agent.step(change(inputs, k) if k >= ARM_AFTER + 60 else inputs, now_ns).state.fault
     return fault
 
 
+@pytest.mark.long
 def test_a_flight_ends_with_the_name_of_the_sensor() -> None:
     assert fault_of(lambda inputs, k: inputs, 160) == ""
-    frozen = fault_of(lambda inputs, k: replace(inputs, telemetry=replace(inputs.telemetry, depth_m=0.3)), 70)
+    frozen = fault_of(lambda inputs, k: replace(inputs, board=replace(inputs.board, depth_m=0.3)), 70)
     assert frozen == "depth sensor stuck: exactly the same for 3.0 s"
-    dead = fault_of(lambda inputs, k: replace(inputs, telemetry=replace(inputs.telemetry, yaw_rate_radps=0.0)), 160)
+    dead = fault_of(lambda inputs, k: replace(inputs, board=replace(inputs.board, yaw_rate_radps=0.0)), 160)
     assert dead.startswith("gyroscope in doubt: its turn and the camera's differ by 0.")
     turned = fault_of(
-        lambda inputs, k: replace(inputs, telemetry=replace(inputs.telemetry, acceleration_mps2=(0, 9.8, 0))), 60
+        lambda inputs, k: replace(inputs, board=replace(inputs.board, acceleration_mps2=np.array([0.0, 9.8, 0.0]))), 60
     )
     assert turned.startswith("accelerometer in doubt: off gravity by ")

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from shoal.mavlink.agent_link import Telemetry
-from shoal.messages.messages import Mode
+from shoal.messages.messages import BoardReading, Mode
 from tests.flights import cells, grid_flights
 from tests.flights.water import TroubledPlant
 
@@ -22,9 +22,9 @@ class WrongPlant(TroubledPlant):
     share = 1.0
     freezes = turns = sticks = False
     last_m = 0.0
-    last: Telemetry | None = None
+    last: BoardReading | None = None
 
-    def telemetry(self, i: int, now_ns: int) -> Telemetry:
+    def telemetry(self, i: int, now_ns: int) -> BoardReading:
         """The board's measurements, made wrong."""
         telemetry = super().telemetry(i, now_ns)
         if not self.freezes or now_ns < FROZEN_NS:
@@ -33,7 +33,7 @@ class WrongPlant(TroubledPlant):
             self.last = telemetry
         x, y, z = telemetry.acceleration_mps2
         imu = self.last if self.sticks else telemetry
-        force_mps2 = (x, z, -y) if self.turns and now_ns > TURNED_NS else imu.acceleration_mps2
+        force_mps2 = np.array([x, z, -y]) if self.turns and now_ns > TURNED_NS else imu.acceleration_mps2
         return replace(
             telemetry, yaw_rate_radps=self.share * imu.yaw_rate_radps, acceleration_mps2=force_mps2, depth_m=self.last_m
         )

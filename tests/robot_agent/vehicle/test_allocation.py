@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from robot_agent.vehicle.allocation import Allocator
 from shoal.config.vehicle import load_vehicle
 from shoal.frames import Array
+from shoal.messages.messages import required
 
 VEHICLE = load_vehicle("spherical")
 ALLOCATOR = Allocator(VEHICLE)
-POSITION = np.array(VEHICLE.four_legs.position_m)
+POSITION = np.array(required(VEHICLE.legs).position_m)
 AHEAD, ASTERN = 3.0, 2.801  # ends of the vehicle's curve
 
 
@@ -116,7 +117,7 @@ def test_pulses_are_whole_and_in_range(wrench: tuple[float, float, float]) -> No
 @pytest.mark.parametrize("range_rad", [0.2, 0.7, math.pi / 2, math.pi])
 def test_ankles_turn_no_farther_than_they_can(range_rad: float) -> None:
     """A board refuses a whole override for one pulse out of range. What fits within that range is delivered."""
-    legs = VEHICLE.four_legs.model_copy(update={"ankle_range_rad": range_rad})
+    legs = required(VEHICLE.legs).model_copy(update={"ankle_range_rad": range_rad})
     allocator = Allocator(VEHICLE.model_copy(update={"legs": legs}))
     for heave in np.linspace(-3.0, 3.0, 61):
         assert all(1000 <= pulse <= 2000 for pulse in allocator.pulses(np.array([0.4, heave, 0.02]))[4:])
@@ -130,7 +131,7 @@ def test_delivered_is_what_the_pulses_say(wrench: tuple[float, float, float]) ->
     """Through the pulses and back by the vehicle's own curve: right to the microsecond's worth."""
     pulses = ALLOCATOR.pulses(np.array(wrench))
     force = VEHICLE.thruster.force_n(np.array(pulses[:4], dtype=float))
-    ankle = (np.array(pulses[4:]) - 1500) / 500 * VEHICLE.four_legs.ankle_range_rad
+    ankle = (np.array(pulses[4:]) - 1500) / 500 * required(VEHICLE.legs).ankle_range_rad
     got, moments = ALLOCATOR.delivered(pulses)
     assert got == pytest.approx(delivered(force, ankle), abs=1e-12)
     assert moments == pytest.approx(-POSITION[:, 1] * force * np.cos(ankle), abs=1e-12)

@@ -4,7 +4,7 @@ import pytest
 
 from robot_agent.vehicle.battery import BatteryMonitor
 from shoal.config.experiment import load_experiment
-from shoal.mavlink.agent_link import Telemetry
+from shoal.messages.messages import BoardReading
 
 BATTERY = load_experiment("pool").vehicle.battery  # no arming below 10.5 V, neutral below 9.9 V, 0.3 V hysteresis
 MS = 1_000_000
@@ -18,14 +18,14 @@ def told(
     for k, voltage_v in enumerate(voltages_v):
         for _ in range(10):
             reports = from_ms + k + 1
-            battery.note_telemetry(Telemetry(battery_v=voltage_v, battery_reports=reports, charge=charge), now_ns)
+            battery.note_board(BoardReading(battery_v=voltage_v, battery_reports=reports, charge=charge), now_ns)
             now_ns += 50 * MS
     return battery, now_ns
 
 
 def test_a_voltage_that_was_never_told_is_not_a_full_battery() -> None:
     battery = BatteryMonitor(BATTERY)
-    battery.note_telemetry(Telemetry(), MS)
+    battery.note_board(BoardReading(), MS)
     assert not battery.empty
     assert battery.arming_refusal(MS) == "the battery's voltage has not been told by the thruster board yet"
 
@@ -33,7 +33,7 @@ def test_a_voltage_that_was_never_told_is_not_a_full_battery() -> None:
 def test_a_voltage_that_is_told_no_more_is_not_known() -> None:
     battery, now_ns = told(12.4)
     assert battery.arming_refusal(now_ns) == ""
-    battery.note_telemetry(Telemetry(battery_v=12.4, battery_reports=1), now_ns + 5000 * MS)
+    battery.note_board(BoardReading(battery_v=12.4, battery_reports=1), now_ns + 5000 * MS)
     assert battery.arming_refusal(now_ns + 5000 * MS) == "the battery's voltage was last told 5.5 s ago"
 
 
@@ -73,5 +73,5 @@ def test_battery_level_of_the_board_counts_whatever_the_voltage(charge: int, arm
 def test_a_log_that_counts_no_reports_has_voltages_all_the_same() -> None:
     battery = BatteryMonitor(BATTERY)
     for k in range(200):
-        battery.note_telemetry(Telemetry(battery_v=12.0), k * 50 * MS)
+        battery.note_board(BoardReading(battery_v=12.0), k * 50 * MS)
     assert battery.arming_refusal(200 * 50 * MS) == ""

@@ -29,7 +29,7 @@ def flown(change: Change, steps: int) -> Iterator[tuple[int, Outputs]]:
 
 
 def depth(inputs: Inputs, depth_m: float) -> Inputs:
-    return replace(inputs, telemetry=replace(inputs.telemetry, depth_m=depth_m))
+    return replace(inputs, board=replace(inputs.board, depth_m=depth_m))
 
 
 def test_one_bad_depth_is_flown_over() -> None:
@@ -103,7 +103,7 @@ def test_a_robot_tells_whom_it_hears() -> None:
 def test_no_thrust_is_asked_of_a_board_that_is_not_armed() -> None:
     """It would put out none, and the estimator would take what lacks for a disturbance."""
     for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER + 10):
-        outputs = agent.step(replace(inputs, telemetry=replace(inputs.telemetry, armed=False)), now_ns)
+        outputs = agent.step(replace(inputs, board=replace(inputs.board, armed=False)), now_ns)
     assert outputs.state.mode is Mode.TRACKING and outputs.state.control is None and set(outputs.pulse_us) == {1500}
 
 
@@ -120,8 +120,8 @@ def test_a_thruster_test_that_was_passed_counts_no_more_once_the_thrusters_are_i
         state = agent.step(inputs, now_ns).state
     assert (state.mode, state.thruster_test) == (Mode.TRACKING, "passed")
     for agent, inputs, now_ns in itertools.islice(steps, 20):
-        stuck = replace(inputs.telemetry, echo_us=(1900, *agent.neutral_us[1:]))
-        state = agent.step(replace(inputs, telemetry=stuck), now_ns).state
+        stuck = replace(inputs.board, echo_us=(1900, *agent.neutral_us[1:]))
+        state = agent.step(replace(inputs, board=stuck), now_ns).state
     assert (state.mode, state.fault, state.thruster_test) == (Mode.FAULT, "thruster board disobeys", "")
 
 
@@ -140,9 +140,9 @@ def test_a_thruster_that_runs_by_itself_is_noticed_before_the_start(testing: boo
     for k in range(20):
         at_ns = now_ns + (k + 1) * 50_000_000
         echo_us = (1900, *agent.neutral_us[1:])
-        board = replace(inputs.telemetry, armed=True, echo_us=echo_us, board_ms=at_ns // 1_000_000, arrival_ns=at_ns)
+        board = replace(inputs.board, armed=True, echo_us=echo_us, board_ms=at_ns // 1_000_000, arrival_ns=at_ns)
         station, pose = StationView(STATION, at_ns, 0.0), replace(inputs.pose, instant_ns=at_ns) if inputs.pose else None
-        states.append(agent.step(replace(inputs, telemetry=board, station=station, pose=pose), at_ns).state)
+        states.append(agent.step(replace(inputs, board=board, station=station, pose=pose), at_ns).state)
     first = next(k for k, state in enumerate(states) if state.mode is Mode.FAULT)
     assert states[first].fault == "thruster board disobeys" and first <= (12 if testing else 6)
     assert states[-1].thruster_test.startswith("thruster 1 was asked for") is testing

@@ -16,6 +16,7 @@ from shoal.config.experiment import EXPERIMENTS, Experiment, dump_experiment, ex
 from shoal.config.loader import apply_setting, check
 from shoal.config.vehicle import Vehicle
 from shoal.errors import ConfigError
+from shoal.messages.messages import required
 
 Key = tuple[str | int, ...]
 
@@ -400,11 +401,11 @@ def test_a_vehicle_may_be_like_another() -> None:
     """As in numeric.toml: the file's vehicle with what stands in the table; everything else as it is, settings on top."""
     like = load_experiment("numeric").vehicle
     base = load_experiment("pool").vehicle
-    assert (like.thruster.lag_s, like.thruster.dead_time_s, like.four_legs.ankle_dead_time_s) == (0.0, 0.0, 0.0)
-    assert (like.thruster.curve, like.mass, like.four_legs.position_m) == (
+    assert (like.thruster.lag_s, like.thruster.dead_time_s, required(like.legs).ankle_dead_time_s) == (0.0, 0.0, 0.0)
+    assert (like.thruster.curve, like.mass, required(like.legs).position_m) == (
         base.thruster.curve,
         base.mass,
-        base.four_legs.position_m,
+        required(base.legs).position_m,
     )
     assert load_experiment("numeric", ["vehicle.mass.surge_kg=13"]).vehicle.mass.surge_kg == 13.0
     assert load_experiment("numeric", ["vehicle=spherical"]).vehicle.model_dump() == base.model_dump()

@@ -15,6 +15,7 @@ from shoal.config.experiment import load_experiment
 from shoal.config.loader import check
 from shoal.config.vehicle import VEHICLES, Thruster, Vehicle, load_vehicle
 from shoal.errors import ConfigError
+from shoal.messages.messages import required
 
 SPHERICAL = load_vehicle("spherical")
 CURVE = np.array(SPHERICAL.thruster.curve)
@@ -155,7 +156,7 @@ def test_the_stated_limits_are_where_drag_balances_full_thrust() -> None:
 
 def test_one_side_full_ahead_gives_the_articles_surge_and_yaw() -> None:
     """Two thrusters of 3 N at 0.0833 m: 6 N and 0.5 N m (article, Table 2 and equation 39)."""
-    starboard_y = [y for _, y in SPHERICAL.four_legs.position_m if y > 0]
+    starboard_y = [y for _, y in required(SPHERICAL.legs).position_m if y > 0]
     assert SPHERICAL.thruster.max_thrust_n * len(starboard_y) == SPHERICAL.limits.wrench[0]
     assert SPHERICAL.thruster.max_thrust_n * sum(starboard_y) == pytest.approx(SPHERICAL.limits.wrench[2], rel=1e-3)
 

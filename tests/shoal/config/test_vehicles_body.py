@@ -32,6 +32,7 @@ def test_an_experiment_that_is_written_out_is_the_same_experiment(tmp_path: Path
     assert load_experiment(str(path)).hash == vectored.hash
 
 
+@pytest.mark.long
 def test_another_vehicle_flies_from_its_file_alone() -> None:
     flight = scene_flights.flown(load_experiment("pool", ["vehicle=vectored", "duration_s=30"]))
     assert flight.settled_rms()[0] < 0.03

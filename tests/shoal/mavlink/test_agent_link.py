@@ -89,7 +89,7 @@ def test_zero_or_impossible_tilt_is_unknown_and_keeps_the_heading(tilt: tuple[fl
     agent, board = AgentLink(7), FarEnd(7)
     agent.receive(board.pressure(1, 0.3) + board.attitude(1, 0.5, 0.1, (0.1, 0.1, 0.0, 0.0)), 0)
     agent.receive(board.pressure(2, 0.3) + board.attitude(2, 0.25, 0.1, tilt), 20 * MS)
-    assert agent.telemetry.heading_rad == 0.25 and agent.telemetry.tilt == ()
+    assert agent.telemetry.heading_rad == 0.25 and agent.telemetry.tilt.size == 0
 
 
 def test_telemetry_of_a_burst() -> None:

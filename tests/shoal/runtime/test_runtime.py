@@ -50,6 +50,7 @@ def test_in_lockstep_an_age_is_the_difference_of_stamps() -> None:
     assert age_s(clock, received) == pytest.approx(0.08)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("signals", "before", "code"),
     [
@@ -68,6 +69,7 @@ def test_a_hang_up_is_a_request_to_stop(signals: list[str], before: str, code: i
     assert done.returncode == code
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ends", ["stop.request()", "stop.fail('the disk has gone')"])
 @pytest.mark.parametrize(("name", "count", "code"), [("SIGINT", 1, 5), ("SIGTERM", 1, 5), ("SIGTERM", 2, 143)])
 def test_the_first_signal_does_not_cut_short_a_process_that_ends_by_itself(
@@ -79,6 +81,7 @@ def test_the_first_signal_does_not_cut_short_a_process_that_ends_by_itself(
     assert subprocess.run([sys.executable, "-c", script], check=False, capture_output=True).returncode == code
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_signal_goes_through_what_must_be_done_at_the_end(name: str) -> None:
     script = f"""import os, signal
@@ -190,7 +193,8 @@ def test_the_logs_lines_travel_as_events_until_the_bus_is_closed_debug_ones_do_n
     before = (list(log.handlers), log.level, log.propagate)
     try:
         log.setLevel(logging.DEBUG)
-        log.propagate = False  # pytest's own handler ends at what the last line does
+        log.handlers.clear()
+        log.propagate = False  # pytest's own handlers, of which another test may have left one, end at what the last line does
         log_to_bus(sender, LockstepClock(), "tester")
         log.warning("water in %s", "the boat")
         log.debug("a detail")
@@ -275,6 +279,7 @@ def test_a_traceback_in_the_log_keeps_its_lines() -> None:
     assert first.endswith("tester ERROR broken") and last == "ValueError: bad \\x1b[2J"
 
 
+@pytest.mark.long
 def test_a_full_disk_is_a_line_and_no_traceback(tmp_path: Path) -> None:
     """A write that finds no room raises without the file's name."""
     script = (

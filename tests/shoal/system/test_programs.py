@@ -26,6 +26,7 @@ def test_programs_are_started_in_one_place() -> None:
     assert starting == {"shoal/system/programs.py", "shoal/kernels/build.py"}  # which hands its own import path to its workers
 
 
+@pytest.mark.long
 def test_nothing_is_imported_from_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(plant(tmp_path))
     done = programs.ask("groundstation", ["--version"])

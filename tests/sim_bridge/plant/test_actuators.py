@@ -7,6 +7,7 @@ import pytest
 
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
+from shoal.messages.messages import required
 from sim_bridge.plant.actuators import ActuatorModel, ActuatorState, Motors, lapse_of, thrusters_wrench
 from sim_bridge.plant.fleet import Plant
 
@@ -126,7 +127,9 @@ def test_wrench_is_the_sum_of_moments() -> None:
     wrenches = legs_wrench(force, ankle)
     for robot in range(2):
         vectors = np.array([[f * np.cos(a), 0.0, f * np.sin(a)] for f, a in zip(force[robot], ankle[robot], strict=True)])
-        arms = np.column_stack([np.array(pool().vehicle.four_legs.position_m), np.full(4, pool().sim.plant.tilt.legs_below_m)])
+        arms = np.column_stack(
+            [np.array(required(pool().vehicle.legs).position_m), np.full(4, pool().sim.plant.tilt.legs_below_m)]
+        )
         assert wrenches[robot] == pytest.approx([*vectors.sum(axis=0), *np.cross(arms, vectors).sum(axis=0)])
 
 

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
+from shoal.messages.messages import required
 from sim_bridge.plant.fleet import Plant, PlantState
 
 pytestmark = pytest.mark.long
@@ -54,11 +55,11 @@ def legs_wrench(experiment: Experiment, pulses_us: Array, time_s: float) -> tupl
     vehicle = experiment.vehicle
     steady = np.interp(pulses_us[:4], *np.array(vehicle.thruster.curve).T)
     force = steady * -np.expm1(-max(time_s - vehicle.thruster.dead_time_s, 0.0) / vehicle.thruster.lag_s)
-    goal = (pulses_us[4:] - 1500.0) / 500.0 * vehicle.four_legs.ankle_range_rad
-    turned = vehicle.four_legs.ankle_rate_radps * max(time_s - vehicle.four_legs.ankle_dead_time_s, 0.0)
+    goal = (pulses_us[4:] - 1500.0) / 500.0 * required(vehicle.legs).ankle_range_rad
+    turned = required(vehicle.legs).ankle_rate_radps * max(time_s - required(vehicle.legs).ankle_dead_time_s, 0.0)
     angle = np.sign(goal) * np.minimum(np.abs(goal), turned)
     vectors = force * np.array([np.cos(angle), np.zeros(4), np.sin(angle)])
-    arms = np.column_stack([np.array(vehicle.four_legs.position_m), np.zeros(4)])
+    arms = np.column_stack([np.array(required(vehicle.legs).position_m), np.zeros(4)])
     return vectors.sum(axis=1), float(np.cross(arms, vectors.T).sum(axis=0)[2])
 
 

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
+from shoal.messages.messages import required
 from sim_bridge.plant.currents_waves import WaterFlow
 from sim_bridge.plant.fleet import Plant, PlantState
 
@@ -84,12 +85,12 @@ def legs(experiment: Experiment, pulses_us: Array, time_s: float) -> tuple[Array
     vehicle = experiment.vehicle
     steady = np.interp(pulses_us[:4], *np.array(vehicle.thruster.curve).T)
     force = steady * -np.expm1(-max(time_s - vehicle.thruster.dead_time_s, 0.0) / vehicle.thruster.lag_s)
-    goal = (pulses_us[4:] - 1500.0) / 500.0 * vehicle.four_legs.ankle_range_rad
-    turned = vehicle.four_legs.ankle_rate_radps * max(time_s - vehicle.four_legs.ankle_dead_time_s, 0.0)
+    goal = (pulses_us[4:] - 1500.0) / 500.0 * required(vehicle.legs).ankle_range_rad
+    turned = required(vehicle.legs).ankle_rate_radps * max(time_s - required(vehicle.legs).ankle_dead_time_s, 0.0)
     angle = np.sign(goal) * np.minimum(np.abs(goal), turned)
     vectors = np.stack([force * np.cos(angle), np.zeros(4), force * np.sin(angle)], axis=1)
     below = np.full(4, experiment.sim.plant.tilt.legs_below_m)
-    arms = np.column_stack([np.array(vehicle.four_legs.position_m), below])
+    arms = np.column_stack([np.array(required(vehicle.legs).position_m), below])
     return vectors.sum(axis=0), np.cross(arms, vectors).sum(axis=0)
 
 

@@ -37,6 +37,8 @@ from shoal.runtime.runtime import Stop
 from sim_bridge.replay.rerun import Rerun
 from tests.robot_agent.obedient_board import Board
 
+pytestmark = pytest.mark.long
+
 ME, OTHER = 1, 2
 PERIOD_NS = 50_000_000
 HOUR_NS = 3_600_000_000_000

@@ -11,6 +11,7 @@ import pytest
 from sim_bridge.sil import launcher
 
 
+@pytest.mark.long
 def test_keys_of_a_launcher_that_was_killed_go_with_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = """
 import os, signal

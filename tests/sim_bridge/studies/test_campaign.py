@@ -15,7 +15,6 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 import tomli_w
-from distributed import LocalCluster
 from rich.console import Console
 from scipy import stats
 from typer.testing import CliRunner
@@ -35,6 +34,7 @@ from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
 from sim_bridge.studies.dependence import dependence, dependences, lines, reasons
 from sim_bridge.studies.statistics import distribution, quantile, rate
+from tests.forked import ended
 from tests.planted import installed
 from tests.waiting import eventually
 
@@ -186,7 +186,7 @@ def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
     row = rows(flown)[1]
     program, *arguments = shlex.split(row["command"])
     assert program == "sim-bridge"
-    subprocess.run([sys.executable, "-m", "sim_bridge", *arguments, "--out", str(tmp_path)], capture_output=True, check=False)
+    ended(program, *arguments, "--out", str(tmp_path))
     (folder,) = tmp_path.iterdir()
     result = json.loads((folder / "result.json").read_text())
     per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
@@ -201,8 +201,8 @@ def test_a_campaign_with_the_camera_says_what_the_reports_of_its_flights_say(tmp
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
     assert row["status"] == "flown" and row["off_track"] == row["at_fault"] == 0.0 and row["reason"] == ""
-    words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
-    assert subprocess.run(words, capture_output=True, check=False).returncode == (0 if row["passed"] else 1)
+    code, _, _ = ended(*shlex.split(row["command"]), "--out", str(tmp_path / "runs"))
+    assert code == (0 if row["passed"] else 1)
     (folder,) = (tmp_path / "runs").iterdir()
     result = json.loads((folder / "result.json").read_text())
     per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
@@ -312,8 +312,8 @@ def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: s
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
     assert (row["status"], row["passed"]) == ("flown", False) and reason in row["reason"].split("; ")
-    words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
-    assert subprocess.run(words, capture_output=True, check=False).returncode == 1
+    code, _, _ = ended(*shlex.split(row["command"]), "--out", str(tmp_path / "runs"))
+    assert code == 1
 
 
 def test_a_robot_that_refuses_is_a_refusal_with_its_reason_and_leaves_no_folder(tmp_path: Path) -> None:
@@ -467,6 +467,8 @@ def test_only_a_few_of_a_million_flights_are_prepared_at_a_time(tmp_path: Path, 
 
 @pytest.mark.slow
 def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
+    from distributed import LocalCluster  # takes 0.5 s of every process that collects this file
+
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
         assert fly(campaign(seeds=1), tmp_path / "c", scheduler=cluster.scheduler_address) == 0
     results, expected = rows(tmp_path / "c"), rows(flown)[:2]

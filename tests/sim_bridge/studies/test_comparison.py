@@ -3,7 +3,6 @@
 import math
 import os
 import subprocess
-import sys
 import tomllib
 from dataclasses import replace
 from itertools import pairwise
@@ -22,6 +21,7 @@ from shoal.messages.messages import required
 from shoal.runtime.version import code
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.flights.scene_flights import flown_once
+from tests.forked import ended
 from tests.planted import executed, installed, plant
 
 pytestmark = pytest.mark.long
@@ -197,11 +197,6 @@ def test_the_time_of_control_steps_is_measured_and_is_no_part_of_what_must_repea
     ],
 )
 def test_impossible_comparison_is_refused(arguments: list[str], complaint: str, tmp_path: Path) -> None:
-    result = subprocess.run(
-        [sys.executable, "-m", "sim_bridge", "compare", *arguments, "--out", str(tmp_path), "--jobs", "1"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == 2 and complaint in " ".join(result.stderr.split()).replace("│ ", ""), result.stderr
-    assert "Traceback" not in result.stderr and not list(tmp_path.glob("*"))
+    code, _, errors = ended("sim-bridge", "compare", *arguments, "--out", str(tmp_path), "--jobs", "1")
+    assert code == 2 and complaint in " ".join(errors.split()).replace("│ ", ""), errors
+    assert "Traceback" not in errors and not list(tmp_path.glob("*"))

@@ -48,16 +48,16 @@ export interface Control {
   slack_m: number; // Depth by which the plan enters the space of another robot.
 }
 
-/** The last telemetry of a thruster board, as far as its robot acts on it (Telemetry of shoal/mavlink/agent_link.py). */
+/** The last telemetry of a thruster board, as far as its robot acts on it. Values are finite and within a sensor's range. The robot's link to its board adds its own state (Telemetry of shoal/mavlink/agent_link.py). */
 export interface BoardReading {
   heading_rad: number;
-  yaw_rate_radps: number;
+  yaw_rate_radps: number; // Rate of the heading; about its own axis, of a board that does not measure its tilt.
   acceleration_mps2: Packed; // Specific force, in the body frame.
   tilt: Packed; // Roll, pitch [rad] and their rates [rad/s]; empty if not measured.
   depth_m: number;
-  battery_v: number;
+  battery_v: number; // One raw measurement under the present load; meaningless before the first report.
   armed: boolean;
-  echo_us: number[];
+  echo_us: number[]; // Pulses that the board puts out: 4 thrusters, 4 ankles.
   loss: number; // Fraction of the board's messages lost in the last 5 s.
   objection: string; // Reason not to arm, from the board's parameters.
   zero_in_question: boolean; // A person has to confirm the board's depth zero.

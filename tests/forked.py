@@ -1,9 +1,12 @@
-"""Commands as processes on a disk that fails at the n-th call: forked from one process that has loaded every program.
+"""Commands in processes of their own, forked from one process that has loaded every program.
 
-    with Programs(tmp_path) as programs:
-        ended = programs.run(["groundstation", "log", "repair", "run.mcap"], folder, "kill", 7)
+    code, output, errors = ended("groundstation", "log", "repair", "run.mcap")
 
-A fresh interpreter takes seconds to load a program, a fork some hundredths; the rest is as when a person starts it.
+    with Programs(failing_disk(tmp_path)) as programs:
+        command = programs.run(["groundstation", "log", "repair", "run.mcap"], folder, "kill", 7)
+
+A fresh interpreter takes seconds of computing to load a program, a fork some hundredths; the rest is as when a person starts
+it. What is tested about a program's start itself is started as a person does.
 """
 
 import atexit
@@ -19,6 +22,7 @@ import tempfile
 import threading
 import traceback
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -27,7 +31,7 @@ import pytest
 
 from shoal.runtime.runtime import run_app
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 WITHIN_S = 120  # of one command, on a busy machine
 APPS = {
     "groundstation": "groundstation.__main__",
@@ -37,19 +41,24 @@ APPS = {
 }
 LOADED = (  # what commands load when they begin
     *APPS.values(), "tests.disks.jobs", "groundstation.deploy.key_ring", "groundstation.export.foxglove_file",
-    "groundstation.export.tables", "groundstation.logs.repair", "groundstation.report.report", "localizer.calibration.verify",
-    "localizer.calibration.workflow", "localizer.evaluation.offline", "sim_bridge.studies.campaign_runner",
+    "groundstation.export.tables", "groundstation.logs.repair", "groundstation.report.report",
+    "groundstation.report.run_comparison", "groundstation.report.terminal", "groundstation.station.process",
+    "localizer.calibration.verify", "localizer.calibration.workflow", "localizer.evaluation.offline",
+    "sim_bridge.in_process.executor", "sim_bridge.in_process.resume", "sim_bridge.in_process.run",
+    "sim_bridge.replay.step_replay", "sim_bridge.sil.launcher", "sim_bridge.studies.campaign_runner",
+    "sim_bridge.studies.comparison",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class EndedCommand:
-    """A command that has ended: its exit code (negative: the signal that killed it), what it said, and the calls that changed
-    files below the folder, of all its processes, as lines with tabs: call, path, other path."""
+    """A command that has ended: its exit code (negative: the signal that killed it), what it printed, and the calls of all its
+    processes that changed files below the folder, as lines with tabs: call, path, other path."""
 
     code: int
     output: str
-    calls: int
+    errors: str
+    calls: int = 0
     trace: tuple[str, ...] = ()
 
     @property
@@ -61,20 +70,16 @@ class EndedCommand:
 class Programs:
     """The process that commands are forked from."""
 
-    def __init__(self, folder: Path) -> None:
-        """`folder` is for the compiled disk. Skips the test where there is no compiler, or no Linux."""
-        if sys.platform != "linux" or shutil.which("gcc") is None:
-            pytest.skip("gcc is not installed" if sys.platform == "linux" else "only on Linux a disk can be made to fail")
-        disk = folder / "failing_disk.so"
-        source = Path(__file__).with_name("failing_disk.c")
-        subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", str(disk), str(source), "-ldl"], check=True)
+    def __init__(self, disk: Path | None = None) -> None:
+        """`disk`: library of `failing_disk`, None for commands on the disk as it is."""
+        self._has_disk = disk is not None
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.disks.forked"],
+            [sys.executable, "-m", "tests.forked"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             cwd=ROOT,
-            env=os.environ | {"LD_PRELOAD": str(disk)},
+            env=os.environ | ({"LD_PRELOAD": str(disk)} if disk is not None else {}),
         )
 
     def __enter__(self) -> "Programs":
@@ -88,18 +93,19 @@ class Programs:
     def run(
         self, arguments: list[str], folder: Path, fault: str = "count", call: int = 1, stdin: str = os.devnull
     ) -> EndedCommand:
-        """Run a command in a folder, on a disk that fails below it from the given call on."""
+        """Run a command in a folder; on a disk that can fail, it fails below the folder from the given call on, and the output
+        holds the errors too."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with tempfile.TemporaryDirectory() as beside:
             output, trace = Path(beside) / "output", Path(beside) / "trace"
+            errors = output if self._has_disk else Path(beside) / "errors"
             trace.write_bytes(bytes(8))
-            around = {
-                "DISK_FOLDER": str(folder.resolve()),
-                "DISK_FAULT": fault,
-                "DISK_CALL": str(call),
-                "DISK_TRACE": str(trace),
-            }
-            job = {"arguments": arguments, "folder": str(folder), "around": around, "output": str(output), "stdin": stdin}
+            around = {} if self._has_disk else dict(os.environ)
+            if self._has_disk:
+                around |= {"DISK_FOLDER": str(folder.resolve()), "DISK_FAULT": fault}
+                around |= {"DISK_CALL": str(call), "DISK_TRACE": str(trace)}
+            streams = {"stdin": stdin, "stdout": str(output), "stderr": str(errors)}
+            job = {"arguments": arguments, "folder": str(folder), "around": around, "streams": streams}
             self._process.stdin.write(json.dumps(job) + "\n")
             self._process.stdin.flush()
             code = int(self._process.stdout.readline())
@@ -107,9 +113,32 @@ class Programs:
             return EndedCommand(
                 code,
                 output.read_text(errors="replace"),
+                errors.read_text(errors="replace"),
                 int.from_bytes(count, sys.byteorder),
                 tuple(lines.decode().splitlines()),
             )
+
+
+def failing_disk(folder: Path) -> Path:
+    """Compile the disk that fails, into a folder. Skips the test where there is no compiler, or no Linux."""
+    if sys.platform != "linux" or shutil.which("gcc") is None:
+        pytest.skip("gcc is not installed" if sys.platform == "linux" else "only on Linux a disk can be made to fail")
+    library = folder / "failing_disk.so"
+    source = Path(__file__).parent / "disks" / "failing_disk.c"
+    subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-ldl"], check=True)
+    return library
+
+
+@cache
+def _programs() -> Programs:
+    """Those of this process, without a disk that fails: they end with it."""
+    return Programs()
+
+
+def ended(*arguments: str, folder: Path | None = None) -> tuple[int, str, str]:
+    """Run a command, in this folder if no other is named. Returns exit code, output and errors."""
+    command = _programs().run(list(arguments), folder or Path.cwd())
+    return command.code, command.output, command.errors
 
 
 def _serve() -> dict[str, Any] | None:
@@ -126,13 +155,14 @@ def _serve() -> dict[str, Any] | None:
 def _do(job: dict[str, Any]) -> None:
     """Be the command."""
     os.setsid()
-    output = os.open(job["output"], os.O_WRONLY | os.O_CREAT)
-    os.dup2(os.open(job["stdin"], os.O_RDONLY), 0)
-    for descriptor in (1, 2):
-        os.dup2(output, descriptor)
+    streams = job["streams"]
+    os.dup2(os.open(streams["stdin"], os.O_RDONLY), 0)
+    for descriptor, name in ((1, "stdout"), (2, "stderr")):
+        os.dup2(os.open(streams[name], os.O_WRONLY | os.O_CREAT | os.O_APPEND), descriptor)
     os.chdir(job["folder"])
     os.environ.update(job["around"])
-    ctypes.CDLL(None).failing_disk_arm()
+    if "DISK_FOLDER" in job["around"]:
+        ctypes.CDLL(None).failing_disk_arm()
     program, *arguments = job["arguments"]
     sys.argv = [program, *arguments]
     module, _, function = program.partition(":")
