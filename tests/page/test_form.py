@@ -86,7 +86,7 @@ def test_a_hold_makes_the_plan_another_one(desk: LoneStation, experiment: Experi
     button(page, "Formation…").click()
     page.get_by_label("Shape of the formation").select_option("line")
     expect(page.get_by_text("can be flown")).to_be_visible()
-    desk.own_status = Status(MissionState.PAUSED, "")
+    desk.own_status = Status(state=MissionState.PAUSED)
     expect(page.get_by_text("no way into place")).to_be_visible()
     expect(button(page, "Fly this form")).to_be_disabled()
 
