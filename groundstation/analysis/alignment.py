@@ -119,6 +119,7 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
         started=bool(with_flight),
         reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
         planned_s=planned_s,
+        other_path=any(beat.other_path for beat in _beats(log, window)),
         asked_s=_asked_s(experiment, with_flight, planned_s),
         ended_s=(window[1] - start_ns) * 1e-9,
         time_s=time_s,
@@ -207,8 +208,13 @@ def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
 def _planned_s(experiment: Experiment, log: RunLog, window: tuple[int, int]) -> float:
     """Planned end of a flight along its trajectory in s: the station's last word before the way home, for a person may load
     another path; the experiment's where it says nothing."""
-    told_s = [b.message.flight_s for b in log.of(topics.HEARTBEAT, StationHeartbeat) if window[0] <= b.stamp_ns <= window[1]]
-    return next((end_s for end_s in reversed(told_s) if end_s > 0.0), experiment.duration_s)
+    ends_s = [beat.flight_s for beat in _beats(log, window)]
+    return next((end_s for end_s in reversed(ends_s) if end_s > 0.0), experiment.duration_s)
+
+
+def _beats(log: RunLog, window: tuple[int, int]) -> list[StationHeartbeat]:
+    """The station's heartbeats of a flight."""
+    return [b.message for b in log.of(topics.HEARTBEAT, StationHeartbeat) if window[0] <= b.stamp_ns <= window[1]]
 
 
 def _asked_s(experiment: Experiment, flights: Sequence[_Recorded], planned_s: float) -> float:

@@ -33,7 +33,7 @@ from groundstation.analysis.series import (
 )
 from groundstation.analysis.timeline import faults, tags
 from groundstation.logs.reader import RunLog
-from shoal.config.experiment import ArticleRow, Experiment
+from shoal.config.experiment import ArticleRow
 from shoal.frames import Array, pose_error, wrap_angle
 from shoal.messages import topics
 from shoal.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat, Truth
@@ -154,7 +154,7 @@ def _robot(series: Series, robot: int) -> RobotResult:
         control_steps=int(window.sum()),
         missed_deadlines=int(missed[missed > 0.0].sum()),  # falls only when a restarted process counts anew
         baseline=_still(mine, mine.reference, series.time_s),
-        article=_article(series.experiment, str(robot)),
+        article=_article(series, str(robot)),
     )
 
 
@@ -186,7 +186,7 @@ def _pair(series: Series, a: int, b: int) -> PairResult:
         **_fields(_errors(series.pair_error(a, b), series.time_s)),
         min_separation_m=float(np.nanmin(apart)) if np.isfinite(apart).any() else None,
         baseline=baseline,
-        article=_article(series.experiment, f"{a}-{b}"),
+        article=_article(series, f"{a}-{b}"),
     )
 
 
@@ -288,8 +288,10 @@ def _fields(errors: Errors) -> dict[str, Any]:
     return {field.name: getattr(errors, field.name) for field in dataclasses.fields(Errors)}
 
 
-def _article(experiment: Experiment, subject: str) -> ArticleRow | None:
-    return next((row for row in experiment.article if row.subject == subject), None)
+def _article(series: Series, subject: str) -> ArticleRow | None:
+    """The article's errors of a robot or a pair; None for a flight on another path than the article's."""
+    rows = () if series.other_path else series.experiment.article
+    return next((row for row in rows if row.subject == subject), None)
 
 
 def _real_time_factor(series: Series, log: RunLog) -> float | None:

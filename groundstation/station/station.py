@@ -149,6 +149,7 @@ class Station:
         beat = StationHeartbeat(
             self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns,
             flight_s=0.0 if segment.is_return else segment.end_s,
+            other_path=self.mission.plans.flown is not self.experiment,
         )  # fmt: skip
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()

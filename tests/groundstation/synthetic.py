@@ -147,7 +147,7 @@ def _step(script: Script, log: _Log, trajectories: dict[int, Any], k: int, since
             state = _state(script, robot, k, since_s, true, trajectories[robot])
             log.put(topics.STATE, state, at_s, robot, lost=_within(script.lost, robot, since_s))
     if (script.still or script.lost or script.loaded_s) and not _within(script.still, 0, since_s):
-        beat = StationHeartbeat(mission="RUNNING", flight_s=script.loaded_s)
+        beat = StationHeartbeat(mission="RUNNING", flight_s=script.loaded_s, other_path=script.loaded_s > 0.0)
         log.put(topics.HEARTBEAT, beat, at_s, lost=_within(script.lost, 0, since_s))
 
 

@@ -335,6 +335,7 @@ def test_a_loaded_path_is_judged_by_its_own_length(tmp_path: Path, loaded_s: flo
     script = Script(settings=("duration_s=40",), duration_s=flown_s, loaded_s=loaded_s)
     result = result_of(tmp_path, script)
     assert result.planned_duration_s == loaded_s
+    assert not any(robot.article for robot in result.robots.values()), "nobody flew the article's path"
     assert result.duration_s == pytest.approx(flown_s, abs=0.1)
     assert any("not complete" in note for note in result.notes) is not whole
     assert result.passed is whole

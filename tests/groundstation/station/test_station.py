@@ -19,7 +19,7 @@ from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import RETRY_S
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.mission import Mission
-from groundstation.mission.plan_manager import PlanRequest
+from groundstation.mission.plan_manager import FlownPath, PlanRequest
 from groundstation.mission.roster import Leader
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import MissionState
@@ -446,6 +446,20 @@ def test_a_draft_is_planned_as_its_request_would_be_and_refused_for_the_same_rea
                 station.draft(order, what)
             assert reason in station.request(order, text=what)[0]
         assert station.mission.segment is before and station.mission.plan_request is None
+
+
+def test_the_heartbeat_says_that_another_path_than_the_experiments_is_flown(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        beats, plans = Bus(MemoryTransport(hub)).inbox(topics.HEARTBEAT, StationHeartbeat), station.mission.plans
+        reports = []
+        other = FlownPath(with_flight(station.experiment, dump_experiment(load_experiment("figure-eight", ["duration_s=40"]))))
+        for k in range(2):
+            station.cycle((k + 1) * 50_000_000)
+            beat = beats.newest()
+            reports.append(beat is not None and beat.message.other_path)
+            plans.adopt_at_rest(other.plan(), other)
+        assert reports == [False, True]
 
 
 def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_everybody(tmp_path: Path) -> None:
