@@ -551,6 +551,8 @@ class Mission:
             text = f"robot {robots} does not follow {stage.order.name}"  # also of a second stage with the same command
             self._on_timeout(self.reason if self.reason.startswith(text) else f"{text}: {self.reason or 'no answer'}", now_ns)
             return ()
+        if stage.order is CommandKind.ARM:  # under power it refuses; restarted meanwhile, it would be armed by this
+            waiting = [r for r in waiting if fleet[r].mode not in LIVE]
         return self._send(stage.order, waiting, now_ns)
 
     def _note_power(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> None:

@@ -92,6 +92,12 @@ def _unfit_to_test(context: RequestContext) -> str:
     return "; ".join(preflight(context.experiment, context.fleet, exclude=("thrusters",)))
 
 
+def _holds(context: RequestContext) -> str:
+    """A thruster test arms robots: one that holds refuses that."""
+    holding = [r for r in context.roster.active if (view := context.fleet[r]).heard and view.mode is Mode.HOLDING]
+    return "; ".join(f"robot {r} holds: disarm it first" for r in holding)
+
+
 def _not_holding(context: RequestContext) -> str:
     fleet = context.fleet
     others = [r for r in context.roster.active if fleet[r].mode is not Mode.HOLDING]
@@ -200,7 +206,7 @@ OBJECTIONS: Mapping[CommandKind, tuple[Check, ...]] = {
     CommandKind.LOAD: (_moves, _being_planned),
     CommandKind.ARM: (_moves, _being_planned, _unfit_to_start),
     CommandKind.START: (_moves, _being_planned, _unfit_to_start),
-    CommandKind.TEST: (_moves, _unfit_to_test),
+    CommandKind.TEST: (_moves, _holds, _unfit_to_test),
     CommandKind.RESUME: (_not_holding, _foreign_poses),
     CommandKind.CLEAR_STOP: (_not_stopped,),
     CommandKind.HOLD: (_none_armed,),

@@ -695,6 +695,23 @@ def test_a_robot_that_does_not_hold_while_all_come_to_rest_ends_the_mission() ->
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
 
+def test_a_thruster_test_is_refused_while_a_robot_holds() -> None:
+    """It would have been sent ARM, and have refused, for ten seconds; restarted in that time, it would have been armed."""
+    run = MissionRun(automatic=False)
+    run.robots[2].mode = Mode.HOLDING
+    assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == "robot 2 holds: disarm it first"
+    assert run.at(MissionState.WAITING)
+
+
+def test_a_robot_under_power_is_not_sent_arm() -> None:
+    run = MissionRun(automatic=False)
+    assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == ""
+    run.robots[2].mode = Mode.HOLDING  # a person was quicker
+    run.step(1.0)
+    assert run.at(MissionState.TEST_ARMING)
+    assert CommandKind.ARM not in [command.order for command in run.robots[2].got]
+
+
 def test_a_thruster_test_that_does_not_end_is_given_up() -> None:
     run = MissionRun(automatic=False)
     run.robots[1].test = "passed"
