@@ -23,7 +23,7 @@ IN_PAIRS := -n 2 $(BY_FILE)
 NO_UNITS := $(addprefix --ignore=tests/,closed_loop examples faults page)
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-units test-waiting test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence laws bench lint format docs lock clean
+.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence laws bench lint format docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -38,22 +38,17 @@ check: $(INSTALLED) ## ruff, mypy, and the unit tests that start no process: les
 test-units:
 	$(BIN)/python -m pytest $(IN_PARALLEL) $(NO_UNITS) -m "not slow and not real_time and not long"
 
-# What only computes fills the idle time of the tests that wait for programs and then of those that wait for a browser, at a
-# lower priority, so that it delays none of them. These two wait for one another: four workers at once would be too many.
+# What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of
+# them. The page's tests come after: a browser, a flight and whatever else share two processors badly, and these need both.
 test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/shoal -x"
 ifdef ARGS
 	$(BIN)/python -m pytest $(ARGS)
 else
 	@SHOAL_SKIPPED=$$(mktemp -d); export SHOAL_SKIPPED; failed=0; \
-	$(MAKE) --no-print-directory --keep-going --jobs=2 test-waiting test-computing || failed=$$?; \
+	$(MAKE) --no-print-directory --keep-going --jobs=2 test-real-time test-computing || failed=$$?; \
+	$(MAKE) --no-print-directory test-page || failed=$$?; \
 	$(BIN)/python -m tests.skipped $$SHOAL_SKIPPED; rm -rf $$SHOAL_SKIPPED; exit $$failed
 endif
-
-test-waiting:
-	@failed=0; \
-	$(MAKE) --no-print-directory test-real-time || failed=$$?; \
-	$(MAKE) --no-print-directory test-page || failed=$$?; \
-	exit $$failed
 
 test-real-time: # only files that have the mark: to collect all of them takes ten seconds of each process
 	$(BIN)/python -m pytest $(IN_PAIRS) -m "real_time and not slow" \
