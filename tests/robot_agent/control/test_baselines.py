@@ -381,8 +381,8 @@ def wander(name: str, steps: int) -> float:
 
 @pytest.mark.parametrize("name", LAWS)
 def test_random_steps_stay_within_limits(name: str) -> None:
-    beyond = wander(name, 300)
-    assert beyond == 0.0 if name == "eso-mpc-article" else beyond > 0.1  # else nothing was to be limited
+    beyond = wander(name, 600)
+    assert beyond == 0.0 if name == "eso-mpc-article" else beyond > 0.2  # else nothing was to be limited
 
 
 @pytest.mark.slow
