@@ -31,7 +31,6 @@ from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import PATIENT_MS
 from shoal.config.experiment import Experiment
-from shoal.config.fault_injection import read_request
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Command, CommandKind, DriveVelocity, FaultRequest, Reply, StationHeartbeat, Trajectory
@@ -296,10 +295,7 @@ class Station:
         """Hand a person's fault to the simulator. Returns the reason of a refusal, or nothing, and the request's number."""
         simulator, number = process_name(Role.SIMULATOR), 0
         try:
-            experiment = self.experiment
-            uses_camera = experiment.localizer.uses_camera
-            thrusters = experiment.vehicle.thruster_channels
-            what, for_s = read_request(text, experiment.robot_ids, thrusters, experiment.camera_names, uses_camera)
+            what, for_s = self.experiment.fault_request(text)
         except ValueError as error:
             reason = str(error)
         else:

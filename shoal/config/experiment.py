@@ -18,7 +18,7 @@ import tomli_w
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from shoal.config.controller import ControllerConfig, Safety
-from shoal.config.fault_injection import KINDS, fault_table, no_target
+from shoal.config.fault_injection import KINDS, fault_table, no_target, read_request
 from shoal.config.formation_shapes import SHAPES, shape_nodes
 from shoal.config.loader import Section, apply_setting, check, nearest, parse_toml, read_toml
 from shoal.config.mission import MissionConfig
@@ -317,6 +317,13 @@ class Experiment(Section):
                 return robot
         allowed = ", ".join(str(i) for i in self.robot_ids)
         raise ConfigError(f"robot {robot_id}: not in experiment {self.name!r} (allowed: {allowed})")
+
+    def fault_request(self, text: str) -> tuple[str, float]:
+        """Read a person's request for a fault, which only what this experiment has can have: see `read_request`. Raises
+        ValueError."""
+        return read_request(
+            text, self.robot_ids, self.vehicle.thruster_channels, self.camera_names, self.localizer.uses_camera
+        )
 
     def leader_of(self, robot_id: int) -> int | None:
         """The robot that this one follows instead of its own node; None if it follows none."""

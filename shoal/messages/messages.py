@@ -385,7 +385,7 @@ class StationHeartbeat:
     out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that are out of the water.
     began_ns: Annotated[Int64, 9] = 0  # Begin of the flight on the station's clock; 0: not known.
     flight_s: Annotated[float, 10] = 0.0  # Planned end of the flight; 0: none, or on the way home.
-    other_path: Annotated[bool, 11] = False  # A path or a formation is flown that is not the experiment's.
+    other_path: Annotated[bool, 11] = False  # The path that is flown is another experiment's.
 
 
 ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own, and whose clock is its own

@@ -16,7 +16,7 @@ import numpy as np
 from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
-from shoal.config.fault_injection import BY_HAND, read_request
+from shoal.config.fault_injection import BY_HAND
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
@@ -135,14 +135,11 @@ class PoolNode:
 
     def _fault(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
         """Take a person's request. The station has checked it, by its experiment."""
-        experiment = self._experiment
         try:
             request = decode(FaultRequest, payload, key, topic.name)
             if request.what:
-                thrusters, uses_camera = experiment.vehicle.thruster_channels, experiment.localizer.uses_camera
                 text = f"{request.what} for {request.for_s!r}" if request.for_s else request.what
-                names = experiment.camera_names
-                request = FaultRequest(*read_request(text, experiment.robot_ids, thrusters, names, uses_camera))
+                request = FaultRequest(*self._experiment.fault_request(text))
         except (DecodeError, ValueError) as error:
             log.warning("a fault that cannot be made: %s", error)
         else:
