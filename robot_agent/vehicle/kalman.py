@@ -161,8 +161,7 @@ def weigh_pose(
     learns_drag: bool,
 ) -> None:
     """Correct every filter by a pose and a yaw rate (NaN: none), and weigh them by their likelihood. A pose farther off than
-    OUTLIER deviations of each filter counts as if it were so much worse. The filter of still water
-    `learns_drag`."""
+    OUTLIER deviations of each filter counts as if it were so much worse. With `learns_drag` the filter of still water does."""
     ex, ey, turned = error
     nearest2, spread = math.inf, 0.0
     for j in range(len(bank.weight)):
