@@ -10,6 +10,7 @@ INSTALLED := .venv/.installed
 # More threads only make these matrices slower, and results must not depend on their number.
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
+export MKL_NUM_THREADS = 1
 # Programs and test processes start often: where Python may not keep what it compiled, each start costs up to twice as much.
 unexport PYTHONDONTWRITEBYTECODE
 

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, settings
 
 from tests import skipped
 
-for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
+for library in ("OMP", "OPENBLAS", "MKL"):  # read when numpy is first imported, which is after this; `sil` asks for all three
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 os.environ["SHOAL_CHECK_KERNELS"] = "1"  # types of arguments, which machine code does not look at
