@@ -1,5 +1,6 @@
-"""Lockstep flights under two cameras: they begin as their users fly them, robots cross from one picture into the other, and
-one camera goes or is bumped."""
+"""Lockstep flights under two cameras: robots cross from one picture into the other, and one camera goes or is bumped.
+
+The first seven seconds of one flight also stand for the scene's begin as its users fly it (test_scenes.py)."""
 
 from pathlib import Path
 
