@@ -8,8 +8,10 @@ third would starve the others of processor time.
 
 import gc
 import os
+import re
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -39,6 +41,15 @@ settings.register_profile(
 )
 settings.register_profile("explore", deadline=None, max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out a file all of whose tests have a mark that is not wanted: what it imports would cost more than most tests."""
+    if not collection_path.name.startswith("test_"):
+        return None
+    unwanted = re.findall(r"\bnot (\w+)", config.option.markexpr)
+    marks = re.search(r"^pytestmark\b.*", collection_path.read_text(encoding="utf-8"), re.MULTILINE)
+    return True if marks and any(re.search(rf"\bmark\.{mark}\b", marks[0]) for mark in unwanted) else None
 
 
 def pytest_collection_finish() -> None:
