@@ -136,6 +136,7 @@ class SerialLink:
 
     @property
     def trouble(self) -> str:
+        """Trouble with the port, or with the bytes from it; empty while all is well, or too early to judge."""
         if self._port is None:
             return serial_trouble(Path(self._device)) or self._refusal
         now_s = time.monotonic()
