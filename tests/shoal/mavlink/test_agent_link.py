@@ -2,6 +2,8 @@
 
 import math
 import struct
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -195,6 +197,82 @@ def test_pressure_that_cannot_be_true_is_not_taken(value: float) -> None:
     agent.receive(sender.pack(dialect.MAVLink_scaled_pressure2_message(1, value, 0, 0)), 0)
     assert agent.telemetry.depth_m == 0.0
     assert agent.telemetry.refused_frames == (0 if math.isnan(value) else 1), "NaN is not measured"
+
+
+def _attitude(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, p: float = 0.0, q: float = 0.0, r: float = 0.0) -> Any:
+    return dialect.MAVLink_attitude_message(1, roll, pitch, yaw, p, q, r)
+
+
+def _servos(pulse_us: int) -> Any:
+    return dialect.MAVLink_servo_output_raw_message(1, 0, *PULSES[:7], pulse_us)
+
+
+def _voltage(millivolts: int) -> Any:
+    return dialect.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, -1, -1, 0, 0, 0, 0, 0, 0)
+
+
+def _charge(state: int) -> Any:
+    return dialect.MAVLink_battery_status_message(0, 0, 0, 0, [0] * 10, 0, 0, 0, 0, 0, state)
+
+
+def _pressure(hpa: float) -> Any:
+    return dialect.MAVLink_scaled_pressure2_message(1, hpa, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("message_of", "low", "high", "beyond"),
+    [
+        (_servos, 500, 2500, 1),
+        (_voltage, 0, 65534, 1),
+        (_charge, 0, 7, 1),
+        (_pressure, 500.0, 20_000.0, 0.01),
+        (lambda yaw: _attitude(yaw=yaw), -6.283, 6.283, 0.001),
+        (lambda rate: _attitude(r=rate), -50.0, 50.0, 0.001),
+    ],
+)
+def test_a_measurement_at_the_edge_of_what_can_be_true_is_taken_and_none_beyond(
+    message_of: Callable[[Any], Any], low: float, high: float, beyond: float
+) -> None:
+    for value, refused in ((low, 0), (high, 0), (low - beyond, 1), (high + beyond, 1)):
+        agent, sender = AgentLink(1), Sender((1, agent_link.BOARD_COMPONENT))
+        agent.receive(sender.pack(_pressure(1030.0)), 0)
+        if 0 <= value <= 65535 or isinstance(value, float):  # others the wire cannot carry
+            agent.receive(sender.pack(message_of(value)), 0)
+            assert agent.telemetry.refused_frames == refused, value
+
+
+@pytest.mark.parametrize(
+    ("axis", "edge", "beyond"), [("roll", 3.141, 3.142), ("pitch", 1.5, 1.501), ("p", 50.0, 50.01), ("q", 50.0, 50.01)]
+)
+def test_a_tilt_at_the_edge_of_what_can_be_true_is_known_and_none_beyond(axis: str, edge: float, beyond: float) -> None:
+    for sign in (1.0, -1.0):
+        for value, size in ((edge, 4), (beyond, 0)):
+            agent, sender = AgentLink(1), Sender((1, agent_link.BOARD_COMPONENT))
+            agent.receive(sender.pack(_pressure(1030.0)) + sender.pack(_attitude(**{axis: sign * value})), 0)
+            assert agent.telemetry.tilt.size == size, value
+
+
+def test_pulses_at_the_edge_of_what_a_servo_takes_are_sent_and_none_beyond() -> None:
+    for edge in (500, 2500):
+        assert FarEnd(1).events(AgentLink(1).pulses((*PULSES[:7], edge)), 0) == [Override((*PULSES[:7], edge))]
+    for beyond in (499, 2501, IGNORED - 1):
+        with pytest.raises(ValueError, match="pulses_us"):
+            AgentLink(1).pulses((*PULSES[:7], beyond))
+
+
+def test_each_count_of_the_telemetry_begins_at_zero_and_grows_by_one() -> None:
+    agent, board = AgentLink(1), FarEnd(1)
+    counts = ("heartbeats", "battery_reports", "acknowledgements", "texts_received", "round_trips", "refused_frames")
+    assert [getattr(agent.telemetry, name) for name in counts] == [0] * len(counts)
+    for turn in (1, 2, 3):
+        (event,) = board.events(agent.timesync(turn * MS), 0)
+        assert isinstance(event, Timesync)
+        frames = (
+            board.heartbeat(False, True), board.status(12.0, 1, 1, 0), board.acknowledge((1, 191), 400, 0),
+            board.text(6, "x"), board.timesync(5, event.sent_ns), board.servo_output(1, (1, *PULSES[1:])),
+        )  # fmt: skip
+        agent.receive(b"".join(frames), turn * MS + 1)
+        assert [getattr(agent.telemetry, name) for name in counts] == [turn] * len(counts)
 
 
 @pytest.mark.parametrize("pressure_hpa", [None, math.nan, 0.0])
