@@ -309,7 +309,7 @@ def test_landmarks_and_check_marks_stand_alone() -> None:
 
 def test_the_plant_keeps_step_with_control_or_is_refused() -> None:
     assert load_experiment("pool", ["sim.plant.step_s=0.005"]).plant_steps == 10
-    with pytest.raises(ConfigError, match="plant.step_s = 0.003: must go into controller.period_s = 0.05 without a rest"):
+    with pytest.raises(ConfigError, match=r"plant.step_s = 0.003: must go into controller.period_s = 0.05 without a rest"):
         assert load_experiment("pool", ["sim.plant.step_s=0.003"]).plant_steps
 
 
