@@ -154,7 +154,7 @@ def _with(view: RobotView, path: str, value: object) -> RobotView:
         ("state.timing.step_us", 25_000.0, 25_100.0, "late", "notice", False),
         ("state.control.slack_m", 0.01, 0.011, "close", "warning", False),
         ("state.blind", "", "no camera", "blind", "warning", True),
-        ("state.estimate.eta", START + [0.5, 0.0, 0.0, 0.0], START + [0.51, 0.0, 0.0, 0.0], "start", "notice", True),
+        ("state.estimate.eta", START + np.array([0.5, 0, 0, 0]), START + np.array([0.51, 0, 0, 0]), "start", "notice", True),
     ],
 )
 def test_a_check_finds_what_is_wrong_and_not_its_edge(
