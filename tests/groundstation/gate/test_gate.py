@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import socket
 import threading
@@ -23,6 +24,7 @@ from groundstation.gate.guard import ANSWER_BYTES, CERTIFICATE_BYTES, Guard
 from shoal.bus.access_control import DOOR
 from shoal.bus.bus import Bus
 from shoal.bus.connection_diagnostics import trouble_reaching
+from shoal.bus.endpoint import Endpoint
 from shoal.bus.network import endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.errors import ConfigError
@@ -247,6 +249,27 @@ def test_a_closed_station_gives_its_port_back(ring: Path, monkeypatch: pytest.Mo
     assert kept is not None
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port), timeout=SOON_S)
+
+
+def test_a_gate_has_places_for_the_router_and_a_door_as_soon_as_it_is_made_and_others_when_they_are_taken(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(user_folders.ONLY, str(tmp_path))
+    port = free_port()
+    gate = Gate(Endpoint(f"tls/127.0.0.1:{port}", router=True))
+    try:
+        places = []
+        for _ in range(2):
+            new, known, door = gate.endpoint.listens
+            assert door == f"{DOOR}/{tmp_path / f'station-{port}.sock'}"
+            places += [part.partition("#")[0] for part in (new, known)]
+            inside = gate.inside
+            assert (inside.address, inside.router, inside.access) == (places[-1], False, None)
+            gate.draw()
+        assert len(set(places)) == 4 and all(re.fullmatch(r"tls/127\.0\.0\.1:\d+", place) for place in places)
+        assert gate.guard_pid == 0, "nobody is let in before it is opened"
+    finally:
+        gate.close()
 
 
 # --- what the guard passes on
