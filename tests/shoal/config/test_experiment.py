@@ -275,6 +275,8 @@ def _changes(*at_s: float) -> str:
         ),
         ("robots.0.neighbours=[2]", "robots.0.neighbours=[1]", "neighbours of robot 1: 1 is not allowed"),
         ("mission.wait_from_m=0.49", "mission.wait_from_m=0.5", "wait_at_m = 0.5 must be more than wait_from_m = 0.5"),
+        ("controller.law=my.module:Law_2", "controller.law=my.module", "must be one of 'nmpc', .* or a law of your own"),
+        ("controller.law=m:L", "controller.law=1:L", "must be one of 'nmpc', .* or a law of your own"),
         ("controller.estimator.kind=kalman", "controller.estimator.kind=eso", 'the law nmpc needs "kalman"'),
         (
             WAY.format("[0, 0], [1, 0]", "start_index=1"),

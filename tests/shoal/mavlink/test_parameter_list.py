@@ -60,7 +60,7 @@ PILOT = dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_SUBMARINE, dialect.MA
 
 def test_a_board_answers_values_errors_and_words() -> None:
     client, board = ParameterClient(), Sender((4, 1))
-    assert client.robot_id is None and client.autopilot is None and not client.has_answered
+    assert (client.robot_id, client.autopilot, client.has_answered) == (None, None, False)
     _heard(
         client, board, HEARTBEAT, _value("A", 1.0, 2, 0), _value("B", 2.0, 2, 1), dialect.MAVLink_statustext_message(6, b"hi")
     )
@@ -115,7 +115,7 @@ def test_a_port_that_cannot_be_opened_is_told_with_the_reason(tmp_path: Path, mo
     assert "not there; is the board plugged in, and powered?" in serial_trouble(tmp_path / "none")
     assert serial_trouble(plain) == f"{plain}: is no serial port"
     assert serial_trouble(Path("/dev/null")) == ""
-    monkeypatch.setattr(board_address.os, "access", lambda *_: False)
+    monkeypatch.setattr("os.access", lambda *_: False)
     assert "no permission" in serial_trouble(Path("/dev/null"))
     assert missing_port("x", ()).endswith("powered?") and missing_port("x", ("a", "b")).endswith("; there are a, b")
 
