@@ -261,7 +261,9 @@ def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, 
     assert all(out_of_time() for out_of_time in deadlines)
 
 
-def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
+def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with a_station(tmp_path) as station:
         mission = station.mission
         station.views = station.fleet()
@@ -274,6 +276,7 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
             station.plan(0)
         assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
+    assert any(record.exc_info and record.message == "planning failed" for record in caplog.records), "where it broke"
 
 
 def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) -> None:
