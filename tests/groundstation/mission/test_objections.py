@@ -79,16 +79,17 @@ def test_every_request_with_reasons_has_a_sound_context_here() -> None:
     assert objection(K.STOP, _context(K.HOLD, {})) == ""
 
 
-MOVES = ({"mode": Mode.TRACKING}, {}, "robot 2 still moves: let it hold first")
-LED = (
+Why = tuple[dict[str, Any], dict[str, Any], str]
+MOVES: Why = ({"mode": Mode.TRACKING}, {}, "robot 2 still moves: let it hold first")
+LED: Why = (
     {"mode": Mode.DRIVEN},
     {"roster": {"led_by": {1: Leader.MISSION, 2: Leader.PERSON}}},
     "robot 2 is led by a person: let it",
 )
-PLANNED = ({}, {"planning": True}, "the other path or form is still being planned: wait for it")
-FOREIGN = ({"two_pose_senders": True}, {}, "robot 2: two programs publish its poses by turns")
-UNHEARD = ({"unknown": True}, {}, "robot 2: not heard")
-FAR = ({"eta": (1.0, 0.0, 0.0, 0.0)}, {}, "robot 2: is 1.00 m from its start")
+PLANNED: Why = ({}, {"planning": True}, "the other path or form is still being planned: wait for it")
+FOREIGN: Why = ({"two_pose_senders": True}, {}, "robot 2: two programs publish its poses by turns")
+UNHEARD: Why = ({"unknown": True}, {}, "robot 2: not heard")
+FAR: Why = ({"eta": (1.0, 0.0, 0.0, 0.0)}, {}, "robot 2: is 1.00 m from its start")
 AT_REST = {"state": S.WAITING}
 DEAD = {"mode": Mode.FAULT}
 

@@ -19,7 +19,8 @@ def _discs(velocity: tuple[float, float], unseen_s: float, since_s: float = 0.0)
     news = Obstacles((7,), SQUARE[None], np.array([velocity]), unseen_s=np.array([unseen_s]))
     present = obstacle_set(news, since_s, SAFETY)
     assert present.ids == ((7,) if len(present.discs) else ())
-    return present.discs.tolist()
+    discs: list[list[float]] = present.discs.tolist()
+    return discs
 
 
 @pytest.mark.parametrize(

@@ -436,7 +436,7 @@ def test_a_task_that_a_robot_does_not_do_fails_in_the_end_with_its_last_word(sil
     run.robots[2].refuses, run.robots[2].silent = frozenset({CommandKind.ARM}), silent
     run.step(9.9)
     task = run.single.tasks[2]
-    assert task.progress is Progress.UNDER_WAY and run.single.status()[2].startswith("arming: ")
+    assert run.single.led == {2} and run.single.status()[2].startswith("arming: ")
     run.step(0.3)
     assert task.progress is Progress.FAILED and says in task.reason and run.single.led == frozenset()
 

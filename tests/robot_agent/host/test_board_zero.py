@@ -101,9 +101,9 @@ def test_the_file_follows_the_depth_in_steps_and_not_too_often(tmp_path: Path) -
     now = [1000.0]
     zero = BoardZero(tmp_path, "one", lambda: now[0])
 
-    def kept_m(at_s: float, depth_m: float, **more: bool) -> float | None:
+    def kept_m(at_s: float, depth_m: float, restarted: bool = False) -> float | None:
         now[0] = 1000.0 + at_s
-        zero.note(Telemetry(board_ms=round(1e3 * (500.0 + at_s)), depth_m=depth_m, **more))
+        zero.note(Telemetry(board_ms=round(1e3 * (500.0 + at_s)), depth_m=depth_m, restarted=restarted))
         record = read_record(tmp_path)
         return record.depth_m if record is not None else None
 
