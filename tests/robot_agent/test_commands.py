@@ -67,11 +67,7 @@ def test_a_unit_that_systemd_would_misread_is_not_written(options: tuple[str, ..
 
 def test_a_unit_names_folder_and_user() -> None:
     text = _run("unit", "--home", "/srv/shoal-2/", "--user", "_pi-1").stdout
-    assert (
-        "/srv/shoal-2/venv" in text
-        and "User=_pi-1" in text
-        and "@" not in text.replace("@system", "").replace("@resources", "").replace("@privileged", "")
-    )
+    assert "/srv/shoal-2/venv" in text and "User=_pi-1" in text and "@HOME@" not in text and "@USER@" not in text
 
 
 # --- confirm-zero where no program runs
@@ -150,7 +146,12 @@ def test_thrusters_turn_only_where_a_person_said_so(
     monkeypatch: pytest.MonkeyPatch, config: str, options: tuple[str, ...], answer: str, turns: bool
 ) -> None:
     given: list[object] = []
-    monkeypatch.setattr("robot_agent.preflight.board.run_preflight", lambda board, turn: given.append(turn) or iter(()))
+
+    def preflight(board: object, turn: object) -> list[CheckFinding]:
+        given.append(turn)
+        return []
+
+    monkeypatch.setattr("robot_agent.preflight.board.run_preflight", preflight)
     assert _run("check", "--config", config, *options, answer=answer).exit_code == 0
     assert [turn is not None for turn in given] == [turns]
 
