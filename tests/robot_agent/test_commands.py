@@ -6,8 +6,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from robot_agent.__main__ import cli
 from robot_agent.host.board_zero import FILE, ZeroRecord, read_record, write_record
