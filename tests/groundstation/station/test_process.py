@@ -21,6 +21,7 @@ from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import Command, CommandKind, RobotState, Tick
+from shoal.runtime.output_files import PAGE_OPEN
 from shoal.runtime.runtime import Stop, log
 from sim_bridge.lockstep.clock import LockstepClock
 
@@ -94,7 +95,7 @@ def test_the_station_is_present_when_it_can_be_asked_and_its_log_has_what_was_sa
     assert not any(topic == topics.TICK.name for topic, _ in content.entries), "not recorded"
     assert {robot for topic, robot in content.entries if topic == topics.TRAJECTORY.name} == {1, 2}
     assert load_experiment(str(run.folder / "experiment.toml")).hash == POOL.hash
-    assert not (run.folder / process.PAGE_OPEN).exists(), "no page was open"
+    assert not (run.folder / PAGE_OPEN).exists(), "no page was open"
 
 
 @pytest.mark.parametrize("interrupted", [False, True])
