@@ -253,3 +253,17 @@ def test_legs_push_no_robot_sideways_and_laws_of_three_axes_refuse_one_that_is_p
             load_experiment("pool", ["vehicle=vectored", f"controller.law={law}"])
     steps = load_experiment("pool", ["vehicle=vectored", "controller.law=nmpc"]).wrench_step
     assert steps == pytest.approx((1.0, 1.0, 1.0, 0.75))
+
+
+@pytest.mark.parametrize("axis", range(4))
+def test_a_vehicle_may_claim_all_that_its_thrusters_give_and_no_more(axis: int) -> None:
+    vehicle = check(Vehicle, VECTORED, "mine.toml")
+    least_n = min(vehicle.thruster.max_thrust_n, -vehicle.thruster.curve[0][1])
+    most = least_n / float(np.abs(np.linalg.pinv(vehicle.mixing)[:, axis]).max())
+    for limit, fits in ((most, True), (most * 1.001, False)):
+        wrench = [limit if k == axis else value for k, value in enumerate(VECTORED["limits"]["wrench"])]
+        if fits:
+            assert check(Vehicle, changed(limits__wrench=wrench), "mine.toml").limits.wrench[axis] == limit
+        else:
+            with pytest.raises(ConfigError, match="is more than the thrusters give alone"):
+                check(Vehicle, changed(limits__wrench=wrench), "mine.toml")
