@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from groundstation.mission.mission import Mission
 from groundstation.mission.obstacle_monitor import ObstacleMonitor, ObstacleSet, obstacle_set
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.segment import first_segment
 from groundstation.telemetry import RobotView
 from shoal.config.controller import Safety
 from shoal.config.experiment import load_experiment
@@ -64,3 +67,17 @@ def test_a_lost_robot_is_a_disc_where_it_was_last_seen_and_none_if_it_never_was(
     seen = RobotView(RobotState(mode=Mode.FAULT, estimate=Estimate(np.array([0.5, -0.5, 0.3, 0.0]))), 9.0)
     assert monitor.discs_to_avoid((seen, RobotView())).tolist() == [pytest.approx([0.5, -0.5, 0.7])]
     assert monitor.discs_to_avoid((seen,), room_m=0.1).tolist() == [pytest.approx([0.5, -0.5, 0.4])]
+
+
+def test_another_form_is_not_taken_into_what_lies_on_its_way() -> None:
+    experiment = load_experiment("pool", ["duration_s=60"])
+    segment = first_segment(experiment)
+    starts = {robot: trajectory.eta[0] for robot, trajectory in segment.trajectories.items()}
+    mission = Mission(experiment, segment, starts, False)
+    fleet = dict.fromkeys(experiment.robot_ids, RobotView())
+    make = mission.plans.form_plan("turn 30 over 10", 20.0, fleet, 2 * S)
+    assert make().end_s > 20.0
+    x, y = make().trajectories[1].eta[-1, :2]
+    mission.plans.monitor.update(ObstacleSet((7,), np.array([[x, y, 0.1]])), 0)
+    with pytest.raises(PlanError, match="something lies"):
+        mission.plans.form_plan("turn 30 over 10", 20.0, fleet, 2 * S)()

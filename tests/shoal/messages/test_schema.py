@@ -67,6 +67,12 @@ def test_a_field_that_nobody_fills_in_says_nothing(cls: Any) -> None:
             assert not np.any(part.default_factory()), part.name
 
 
+def test_a_part_that_has_to_be_there_is_asked_for() -> None:
+    assert messages.required("") == "" and messages.required(0) == 0
+    with pytest.raises(ValueError, match="the message has no such part"):
+        messages.required(None)
+
+
 @dataclass(frozen=True)
 class _Numberless:
     depth_m: float = 0.0
