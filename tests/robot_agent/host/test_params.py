@@ -141,6 +141,23 @@ def test_a_key_is_given_once_and_a_board_that_takes_none_says_why(
     assert "signs with another key" in _refused("get", "SLEW_US_S", "--link-key", str(other))
 
 
+def _without_values(data: bytes) -> bytes:
+    """The frames of a board, whole as they are, but for its PARAM_VALUE."""
+    kept, at = b"", 0
+    while at < len(data):
+        end = at + 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
+        kept += b"" if int.from_bytes(data[at + 7 : at + 10], "little") == 22 else data[at:end]
+        at = end
+    return kept
+
+
+def test_a_board_that_does_not_answer_to_its_new_key_is_told(there: BoardInMemory, tmp_path: Path) -> None:
+    key = tmp_path / "one.key"
+    assert CliRunner().invoke(cli, ["link-key", str(key)]).exit_code == 0
+    there.tells = _without_values
+    assert _refused("give-key", str(key)) == "--link udp:127.0.0.1:9: the board does not answer to the key"
+
+
 def test_a_link_without_a_board_and_one_of_another_robot_are_told(
     monkeypatch: pytest.MonkeyPatch, there: BoardInMemory
 ) -> None:

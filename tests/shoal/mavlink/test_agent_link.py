@@ -137,7 +137,10 @@ def test_an_answer_to_arm_that_comes_late_is_not_taken_for_one_to_disarm() -> No
     agent.receive(board.heartbeat(True, True) + accepted + board.heartbeat(False, True), 0)
     assert not agent.telemetry.arm_open and not agent.telemetry.armed
 
+    agent.arm(False)
+    assert not agent.telemetry.arm_open, "a request to disarm opens nothing"
     agent.arm(True)
+    assert agent.telemetry.arm_open
     agent.receive(board.heartbeat(True, True), 0)  # it is armed: a later answer changes nothing about that
     assert not agent.telemetry.arm_open and agent.telemetry.armed
 
