@@ -106,7 +106,10 @@ def test_every_option_says_what_it_is_for(path: tuple[str, ...], command: Any) -
     assert not unexplained
 
 
-ON = {("groundstation", "deploy"): {"restart"}, ("localizer", "evaluate"): {"marker"}}  # switches with a --no- beside them
+ON: dict[tuple[str, ...], set[str]] = {
+    ("groundstation", "deploy"): {"restart"},
+    ("localizer", "evaluate"): {"marker"},
+}  # switches with a --no- beside them
 
 
 def test_a_switch_is_off_until_a_person_sets_it() -> None:

@@ -168,6 +168,51 @@ def test_clock_offset_over_a_symmetric_link() -> None:
     assert (agent.telemetry.clock_offset_ns, agent.telemetry.round_trip_ns) == (ahead, 6 * MS)
 
 
+def _answered(agent: AgentLink, board: FarEnd, at_ms: int, ahead_ms: int, trip_ms: int) -> int:
+    """One question after the board's time, and its answer half-way. Returns how far its clock is ahead then, in ms."""
+    (event,) = board.events(agent.timesync(at_ms * MS), 0)
+    assert isinstance(event, Timesync)
+    board_ns = (2 * at_ms + trip_ms) * MS // 2 + ahead_ms * MS
+    agent.receive(board.timesync(board_ns, event.sent_ns), (at_ms + trip_ms) * MS)
+    return agent.telemetry.clock_offset_ns // MS
+
+
+def test_a_boards_clock_is_set_when_two_answers_in_a_row_say_so_and_not_by_one() -> None:
+    agent, board = AgentLink(1), FarEnd(1)
+    assert [_answered(agent, board, 100 * k, 1000, 6) for k in range(1, 4)] == [1000] * 3
+    assert _answered(agent, board, 400, 1010, 8) == 1000, "a trip of 8 ms and one of 6 explain 7, and 5 are allowed"
+    assert _answered(agent, board, 500, 2000, 6) == 1000, "one alone"
+    assert _answered(agent, board, 600, 1000, 4) == 1000
+    assert _answered(agent, board, 700, 2000, 6) == 1000, "the doubt before is over"
+    assert _answered(agent, board, 800, 3000, 6) == 1000, "two that contradict each other"
+    assert _answered(agent, board, 900, 3001, 6) == 3001, "two that agree"
+    assert _answered(agent, board, 1000, 3000, 2) == 3000, "the quickest counts"
+    assert agent.telemetry.round_trip_ns == 2 * MS
+
+
+def test_an_answer_to_another_question_or_without_a_time_is_none() -> None:
+    agent, board = AgentLink(1), FarEnd(1)
+    agent.timesync(100 * MS)
+    for board_ns, sent_ns in ((5, 99 * MS), (0, 100 * MS)):
+        agent.receive(board.timesync(board_ns, sent_ns), 110 * MS)
+    assert agent.telemetry.round_trips == 0
+    answer = board.timesync(5, 100 * MS), board.timesync(6, 100 * MS)
+    for frame in answer:
+        agent.receive(frame, 110 * MS)
+    assert agent.telemetry.round_trips == 1, "each question has one answer"
+
+
+def test_pulses_and_a_persons_calibration_are_told_apart_from_all_else() -> None:
+    agent = AgentLink(3)
+    frames = [agent.pulses(PULSES), agent.arm(True), agent.heartbeat(), agent.timesync(1), agent.calibrate(True), b"", b"\xfd"]
+    assert [agent_link.is_override(frame) for frame in frames] == [True] + [False] * 6
+    assert not agent_link.is_override(b"\xfe" + frames[0][1:])
+    for pressure, gyro in ((True, False), (False, True), (False, False)):
+        message = dialect.MAVLink(None).decode(bytearray(agent.calibrate(pressure, gyro)))
+        assert (message.command, message.param1, message.param3) == (241, float(gyro), float(pressure))
+        assert (message.param2, message.param4, message.target_system) == (0.0, 0.0, 3)
+
+
 def test_pulses_out_of_range_are_not_sent() -> None:
     for bad in ((0, *PULSES[1:]), (2501, *PULSES[1:]), PULSES[:7]):
         with pytest.raises(ValueError, match="pulses_us"):
