@@ -1,0 +1,92 @@
+"""A record that nobody has filled in says nothing: what its fields are by default, in every program."""
+
+import ast
+from collections.abc import Iterator
+
+from tests.source_tree import nodes, sources, tree_of
+
+NOTHING = {"0", "0.0", "''", "()", "None", "False"}
+FACTORIES = ("field(", "array(", "wrench_array(", "row_numbers(")  # of empty things, each time new
+
+# class, field -> its default where that is something: nothing known yet, the usual kind, or what a person would take
+SOMETHING = {
+    ("AgedMessage", "age_ms"): "NEVER_MS",
+    ("BoardReading", "board_ms"): "-1",
+    ("Break", "place_m"): "(0.0, 0.0)",
+    ("CameraControl", "usable"): "True",
+    ("CapturedFrame", "stamped"): "True",
+    ("Client", "shown_ns"): "-1",
+    ("Command", "time_to_live_s"): "1.0",
+    ("Control", "solve"): "Solve.NONE",
+    ("Curve", "style"): "'-'",
+    ("DeployRequest", "restart"): "True",
+    ("DeployRequest", "ssh"): "('ssh',)",
+    ("Endpoint", "address"): "'tcp/127.0.0.1:7447'",
+    ("FilterShape", "regularisation"): "0.01",
+    ("FlownLaps", "end_s"): "math.inf",
+    ("Follow", "rate"): "1.0",
+    ("GainStatus", "stage"): "GainStage.IDLE",
+    ("LocalizerStatus", "camera"): "CameraHealth.ABSENT",
+    ("LocalizerStatus", "obstacles_ns"): "-1",
+    ("MarkerPose", "size"): "1.0",
+    ("Neighbour", "formation"): "True",
+    ("NodeOptions", "source"): "BUS",
+    ("Outcome", "order"): "CommandKind.NONE",
+    ("Outcome", "progress"): "Progress.UNDER_WAY",
+    ("Panel", "least"): "0.01",
+    ("Pose", "track"): "Track.LOST",
+    ("ProvisionalMatch", "count"): "1",
+    ("Ratios", "drag"): "1.0",
+    ("Ratios", "moment"): "1.0",
+    ("Ratios", "thrust"): "1.0",
+    ("Reaction", "detail"): "lambda h: ''",
+    ("Reply", "mode"): "Mode.DISARMED",
+    ("Result", "commit"): "'unknown'",
+    ("Result", "evaluated_by"): "'unknown'",
+    ("Result", "version"): "'unknown'",
+    ("RobotResult", "end"): "RobotEnd()",
+    ("RobotState", "guidance"): "Guidance.NONE",
+    ("RobotState", "mode"): "Mode.DISARMED",
+    ("RobotState", "timing"): "StepTiming()",
+    ("RobotState", "track"): "Track.LOST",
+    ("RobotTask", "progress"): "Progress.UNDER_WAY",
+    ("RobotTrack", "state"): "Track.LOST",
+    ("RobotView", "plan_age_s"): "float('inf')",
+    ("RobotView", "pose_age_s"): "float('inf')",
+    ("RobotView", "state_age_s"): "float('inf')",
+    ("RunLog", "exists"): "True",
+    ("StationStop", "trouble"): "'no answer'",
+    ("StationView", "age_s"): "float('inf')",
+    ("StayLimits", "path_s"): "float('inf')",
+    ("TimePlot", "height_in"): "1.35",
+    ("TimelineEvent", "times"): "1",
+    ("Tokens", "at_s"): "float('-inf')",
+    ("Topic", "readers"): "EVERYONE",
+    ("WebOptions", "host"): "'127.0.0.1'",
+    ("WebOptions", "port"): "8000",
+    ("_Request", "only"): "WHOLE_FLEET",
+    ("_RunData", "ended_by"): "MissionEvent.ALL_CONFIRMED",
+    ("_Sender", "sequence"): "-1",
+}
+
+
+def _is_record(node: ast.ClassDef) -> bool:
+    made = any("dataclass" in ast.unparse(decorator) for decorator in node.decorator_list)
+    return made or any(ast.unparse(base) == "NamedTuple" for base in node.bases)
+
+
+def _defaults() -> Iterator[tuple[tuple[str, str], str]]:
+    """Class, field and default of every record's field that has one."""
+    for file in sources("shoal", "groundstation", "robot_agent", "localizer"):
+        for node in nodes(tree_of(file)):
+            if isinstance(node, ast.ClassDef) and _is_record(node):
+                for line in node.body:
+                    if isinstance(line, ast.AnnAssign) and line.value is not None:
+                        yield (node.name, ast.unparse(line.target)), ast.unparse(line.value)
+
+
+def test_a_record_that_nobody_has_filled_in_says_nothing() -> None:
+    found = list(_defaults())
+    assert len(found) > 500
+    something = {field: text for field, text in found if text not in NOTHING and not text.startswith(FACTORIES)}
+    assert something == SOMETHING
