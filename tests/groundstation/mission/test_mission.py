@@ -1445,3 +1445,26 @@ def test_a_path_that_cannot_be_left_is_refused_with_the_one_reason_that_holds(se
         run.step()
     refused = run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
     assert refused == f"{why}: it cannot be left for other places under way"
+
+
+@pytest.mark.parametrize(
+    ("mode", "told"),
+    [
+        (Mode.TRACKING, True),
+        (Mode.HOLDING, True),
+        (Mode.DISARMED, False),
+        (Mode.FAULT, False),
+    ],
+)
+def test_a_lost_robot_that_is_silent_is_disarmed_with_the_others_if_it_may_have_power(mode: Mode, told: bool) -> None:
+    """It may receive though it is not heard; one that had no power when it was last heard is left alone."""
+    run = running(["mission.lost=go-on"], automatic=False)
+    run.robots[2].mode, run.robots[2].silent = mode, True
+    run.step(1.0)
+    assert 2 in run.mission.roster.lost
+    run.robots[2].got.clear()
+    run.robots[1].refuses = frozenset({CommandKind.DISARM})
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.at(MissionState.ENDING)
+    assert {command.order for command in run.robots[2].got} == ({CommandKind.DISARM} if told else set())
