@@ -8,6 +8,7 @@ import pytest
 
 from groundstation.mission.mission import PATIENCE_S, TEST_PATIENCE_S
 from groundstation.mission.obstacle_monitor import ObstacleSet
+from groundstation.mission.roster import Leader
 from groundstation.mission.state_machine import IN_FLIGHT, TERMINAL, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
@@ -1468,3 +1469,37 @@ def test_a_lost_robot_that_is_silent_is_disarmed_with_the_others_if_it_may_have_
     run.step(0.5)
     assert run.at(MissionState.ENDING)
     assert {command.order for command in run.robots[2].got} == ({CommandKind.DISARM} if told else set())
+
+
+@pytest.mark.parametrize("flying", [True, False])
+@pytest.mark.parametrize(
+    ("mode", "out", "led", "told"),
+    [
+        (Mode.TRACKING, False, False, {CommandKind.HOLD}),
+        (Mode.DRIVEN, False, False, {CommandKind.HOLD}),
+        (Mode.HOLDING, False, False, set()),
+        (Mode.ARMED, False, False, set()),
+        (Mode.FAULT, False, False, set()),
+        (Mode.TRACKING, False, True, set()),
+        (Mode.TRACKING, True, False, {CommandKind.DISARM}),
+        (Mode.ARMED, True, False, {CommandKind.DISARM}),
+        (Mode.DISARMED, True, False, set()),
+    ],
+)
+def test_a_robot_with_no_part_holds_if_it_moves_and_is_disarmed_if_it_is_out_of_the_water(
+    flying: bool, mode: Mode, out: bool, led: bool, told: set[CommandKind]
+) -> None:
+    run = running(["mission.lost=go-on"], automatic=False) if flying else MissionRun(automatic=False)
+    roster = run.mission.roster
+    if flying:
+        roster.mark_lost(2, "silent")
+    if out:
+        roster.take_out(2)
+    if led:
+        roster.led_by[2] = Leader.PERSON
+    run.robots[2].mode, run.robots[2].refuses = mode, frozenset(CommandKind)
+    for robot in run.robots.values():
+        robot.got.clear()
+    run.step(0.5)
+    assert {command.order for command in run.robots[2].got} == told
+    assert run.robots[1].got == [], "it has its part, or rests"
