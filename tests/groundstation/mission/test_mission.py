@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.mission.mission import PATIENCE_S, TEST_PATIENCE_S
+from groundstation.mission.mission import PATIENCE_S, STAGES, TEST_PATIENCE_S
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.roster import Leader
 from groundstation.mission.state_machine import IN_FLIGHT, TERMINAL, MissionState
@@ -1503,3 +1503,39 @@ def test_a_robot_with_no_part_holds_if_it_moves_and_is_disarmed_if_it_is_out_of_
     run.step(0.5)
     assert {command.order for command in run.robots[2].got} == told
     assert run.robots[1].got == [], "it has its part, or rests"
+
+
+ANY = frozenset(Mode) | {None}
+STOPS = frozenset({Mode.DISARMED, Mode.FAULT})
+
+
+@pytest.mark.parametrize(
+    ("state", "order", "modes"),
+    [
+        (MissionState.LOADING, CommandKind.LOAD, None),
+        (MissionState.ARMING, CommandKind.ARM, {Mode.ARMED, Mode.HOLDING}),
+        (MissionState.STARTING, CommandKind.START, {Mode.TRACKING}),
+        (MissionState.RESUMING, CommandKind.RESUME, {Mode.TRACKING}),
+        (MissionState.RELOADING, CommandKind.LOAD, None),
+        (MissionState.REARMING, CommandKind.ARM, {Mode.ARMED, Mode.HOLDING}),
+        (MissionState.RELEASING, CommandKind.START, {Mode.TRACKING}),
+        (MissionState.ENDING, CommandKind.DISARM, {Mode.DISARMED}),
+        (MissionState.CLEARING, CommandKind.CLEAR_STOP, STOPS),
+        (MissionState.ABORTING, CommandKind.DISARM, STOPS | {Mode.STOPPED}),
+        (MissionState.TEST_ARMING, CommandKind.ARM, {Mode.ARMED}),
+        (MissionState.TEST_ENDING, CommandKind.DISARM, {Mode.DISARMED}),
+    ],
+)
+def test_a_stage_is_done_by_the_modes_that_confirm_its_command(
+    state: MissionState, order: CommandKind, modes: frozenset[Mode] | None
+) -> None:
+    """Or, with None, by what is loaded, whatever the mode."""
+    stage = STAGES[state]
+    assert stage.order is order
+    for loaded in (True, False):
+        done = {mode for mode in ANY if stage.confirmed(mode, loaded)}
+        assert done == ((ANY if loaded else set()) if modes is None else modes), loaded
+
+
+def test_every_stage_has_its_confirmation_here() -> None:
+    assert len(STAGES) == 12
