@@ -1,4 +1,4 @@
-"""A record that nobody has filled in says nothing: what its fields are by default, in every program."""
+"""A record that nobody has filled in says nothing, and a switch that nobody has set is off, in every program."""
 
 import ast
 from collections.abc import Iterator
@@ -70,6 +70,39 @@ SOMETHING = {
 }
 
 
+# function, parameter -> a number or a switch that is something by default
+SET = {
+    ("_at_most", "is_whole"): "True",
+    ("_rerouted", "longer"): "0.4",
+    ("_rows_of", "top_in"): "0.15",
+    ("_split", "percent"): "50.0",
+    ("add", "days"): "397.0",
+    ("deploy", "restart"): "True",
+    ("discs_to_avoid", "obstacles"): "True",
+    ("find_route", "smooth_m"): "0.5",
+    ("inboxes", "wakes"): "True",
+    ("opened", "over"): "True",
+    ("rate_weight", "arm_m"): "1.0",
+    ("read_request", "uses_camera"): "True",
+    ("read_rows", "lever"): "1.0",
+    ("replace_text", "durable"): "True",
+    ("replace_text", "over"): "True",
+    ("replacing", "durable"): "True",
+    ("replacing", "over"): "True",
+    ("replacing_together", "durable"): "True",
+    ("replay", "rate"): "1.0",
+    ("three", "factor"): "1.0",
+    ("thrust", "lever"): "1.0",
+    ("thrust", "still_g"): "3.0",
+    ("wait_event", "timeout_s"): "60.0",
+    ("wait_mission", "timeout_s"): "60.0",
+    ("wait_ready", "timeout_s"): "60.0",
+    ("Model", "lag"): "True",
+    ("Model", "sway"): "True",
+    ("Stop", "install"): "True",
+}
+
+
 def _is_record(node: ast.ClassDef) -> bool:
     made = any("dataclass" in ast.unparse(decorator) for decorator in node.decorator_list)
     return made or any(ast.unparse(base) == "NamedTuple" for base in node.bases)
@@ -90,3 +123,23 @@ def test_a_record_that_nobody_has_filled_in_says_nothing() -> None:
     assert len(found) > 500
     something = {field: text for field, text in found if text not in NOTHING and not text.startswith(FACTORIES)}
     assert something == SOMETHING
+
+
+def _parameters() -> Iterator[tuple[tuple[str, str], str]]:
+    """Function, or class for what makes it, parameter and default of every parameter that has one."""
+    for file in sources("shoal", "groundstation", "robot_agent"):
+        makers = {way: node.name for node in nodes(tree_of(file)) if isinstance(node, ast.ClassDef) for way in node.body}
+        for node in nodes(tree_of(file)):
+            if isinstance(node, ast.FunctionDef):
+                name = makers.get(node, node.name) if node.name == "__init__" else node.name
+                positional = [*node.args.posonlyargs, *node.args.args]
+                given = [*zip(reversed(positional), reversed(node.args.defaults), strict=False)]
+                given += [(a, d) for a, d in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True) if d is not None]
+                yield from (((name, argument.arg), ast.unparse(default)) for argument, default in given)
+
+
+def test_a_switch_that_nobody_has_set_is_off_and_a_number_is_zero() -> None:
+    found = list(_parameters())
+    assert len(found) > 400
+    is_set = {at: text for at, text in found if text == "True" or (text[0].isdigit() and text not in ("0", "0.0", "0j"))}
+    assert is_set == SET

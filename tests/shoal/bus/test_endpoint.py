@@ -1,7 +1,5 @@
 """Settings of Zenoh that follow from an endpoint: most show only in an outage or in a crowd, which no other test waits for."""
 
-import ast
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,6 @@ from shoal.bus.access_control import DOOR
 from shoal.bus.endpoint import FLOOD, MOST_SESSIONS, Endpoint, beside, settings
 from shoal.bus.key_ring import Keys
 from shoal.messages import topics
-from tests.source_tree import nodes, sources, tree_of
 
 KEYS = Keys(Path("ring/agent-1"))
 WAIT = "transport/link/tx/queue/congestion_control/block/wait_before_close"
@@ -92,30 +89,3 @@ def test_with_keys_both_sides_show_a_certificate_and_nothing_else_is_spoken(rout
 def test_another_session_of_a_routers_process_is_a_client_by_loopback(address: str, own: str) -> None:
     other = beside(Endpoint(address, router=True, keys=KEYS, access={"enabled": True}))
     assert (other.address, other.router, other.access, other.keys) == (own, False, None, KEYS)
-
-
-OPENS = {"insecure", "link_insecure", "lossless", "secured"}  # parameters by which something is open, or waits for ever
-
-
-def _defaults(tree: ast.Module) -> Iterator[tuple[str, ast.expr]]:
-    """Parameters of functions, and fields of classes, with their defaults."""
-    for node in nodes(tree):
-        if isinstance(node, ast.FunctionDef):
-            arguments = [*node.args.posonlyargs, *node.args.args]
-            given = list(zip(reversed(arguments), reversed(node.args.defaults), strict=False))
-            given += [(a, d) for a, d in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True) if d is not None]
-            yield from ((argument.arg, default) for argument, default in given)
-        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.value is not None:
-            yield node.target.id, node.value
-
-
-def test_nothing_is_open_or_waits_for_ever_unless_somebody_says_so() -> None:
-    """In no signature between the command line and the wire."""
-    found = [
-        (file, name, ast.unparse(default))
-        for file in sources("shoal", "groundstation/cli", "groundstation/station", "robot_agent")
-        for name, default in _defaults(tree_of(file))
-        if name in OPENS
-    ]
-    assert {name for _, name, _ in found} == OPENS and len(found) > 10
-    assert [entry for entry in found if entry[2] not in ("False", "None")] == []
