@@ -119,9 +119,9 @@ def _defaults() -> Iterator[tuple[tuple[str, str], str]]:
 
 
 def test_a_record_that_nobody_has_filled_in_says_nothing() -> None:
-    found = list(_defaults())
-    assert len(found) > 500
-    something = {field: text for field, text in found if text not in NOTHING and not text.startswith(FACTORIES)}
+    defaults = list(_defaults())
+    assert len(defaults) > 500
+    something = {field: text for field, text in defaults if text not in NOTHING and not text.startswith(FACTORIES)}
     assert something == SOMETHING
 
 
@@ -139,7 +139,7 @@ def _parameters() -> Iterator[tuple[tuple[str, str], str]]:
 
 
 def test_a_switch_that_nobody_has_set_is_off_and_a_number_is_zero() -> None:
-    found = list(_parameters())
-    assert len(found) > 400
-    is_set = {at: text for at, text in found if text == "True" or (text[0].isdigit() and text not in ("0", "0.0", "0j"))}
+    defaults = list(_parameters())
+    assert len(defaults) > 400
+    is_set = {at: text for at, text in defaults if text == "True" or (text[0].isdigit() and text not in ("0", "0.0", "0j"))}
     assert is_set == SET

@@ -94,19 +94,19 @@ def test_a_request_is_followed_to_its_end_over_lost_answers_and_a_stop_is_repeat
     )
 
     def followed(order: CommandKind, replies: list[Reply], looks: int = 99) -> tuple[Reply, list[Command], int]:
-        asked, reported = list[Command](), list[Outcome]()
+        requests, outcomes = list[Command](), list[Outcome]()
         left = iter(range(looks))
 
         def ask(command: Command) -> Reply:
-            asked.append(command)
+            requests.append(command)
             return replies.pop(0)
 
-        last = client.follow(ask, Command(order, WHOLE_FLEET), lambda: next(left, None) is None, reported.append)
-        return last, asked, len(reported)
+        last = client.follow(ask, Command(order, WHOLE_FLEET), lambda: next(left, None) is None, outcomes.append)
+        return last, requests, len(outcomes)
 
-    last, asked, reports = followed(CommandKind.STOP, [silent, silent, under_way, silent, done])
+    last, requests, reports = followed(CommandKind.STOP, [silent, silent, under_way, silent, done])
     assert last is done and reports == 2
-    assert [(c.order, c.about) for c in asked] == [(CommandKind.STOP, 0)] * 3 + [(CommandKind.NONE, 4)] * 2
+    assert [(c.order, c.about) for c in requests] == [(CommandKind.STOP, 0)] * 3 + [(CommandKind.NONE, 4)] * 2
     assert followed(CommandKind.ARM, [silent])[:1] == (silent,)
     assert followed(CommandKind.STOP, [silent, silent], looks=1)[0] is silent
     assert followed(CommandKind.ARM, [under_way, under_way], looks=1)[0] is under_way

@@ -169,24 +169,24 @@ def test_a_check_finds_what_is_wrong_and_not_its_edge(
 @pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN, Mode.ARMED])
 def test_the_age_of_a_plan_matters_in_flight_and_once_there_was_one(mode: Mode) -> None:
     limit_s = POOL.safety.plan_max_age_s
-    for age_s, found in ((limit_s, False), (limit_s + 0.01, mode is not Mode.ARMED), (math.inf, False)):
+    for age_s, is_old in ((limit_s, False), (limit_s + 0.01, mode is not Mode.ARMED), (math.inf, False)):
         view = replace(_with(WELL, "state.mode", mode), plan_age_s=age_s)
-        assert (["plan"] if found else []) == [f.key for f in findings(POOL, 1, view)], age_s
+        assert (["plan"] if is_old else []) == [f.key for f in findings(POOL, 1, view)], age_s
 
 
 def test_thrusters_are_to_be_tested_before_the_flight_where_the_mission_says_so() -> None:
     tested = load_experiment("pool", ["mission.thruster_test=true"])
     view = _with(WELL, "state.experiment_hash", tested.hash)
     view = replace(view, localizer_hash=tested.hash)
-    found = {
+    texts = {
         (mode, result): [
             f.text for f in findings(tested, 1, _with(_with(view, "state.mode", mode), "state.thruster_test", result))
         ]
         for mode in (Mode.ARMED, Mode.TRACKING)
         for result in ("", "running", "passed")
     }
-    assert found[Mode.ARMED, ""] == ["thruster test: not done"] and found[Mode.ARMED, "running"] == ["thruster test: running"]
-    assert not any(found[key] for key in found if key[0] is Mode.TRACKING or key[1] == "passed")
+    assert texts[Mode.ARMED, ""] == ["thruster test: not done"] and texts[Mode.ARMED, "running"] == ["thruster test: running"]
+    assert not any(texts[key] for key in texts if key[0] is Mode.TRACKING or key[1] == "passed")
     assert findings(POOL, 1, WELL) == ()
 
 

@@ -1,4 +1,4 @@
-"""What the commands of a robot's computer say and how they end, without a board: each outcome of each."""
+"""Commands of a robot's computer, without a board: each outcome of each, and its exit code."""
 
 import json
 from collections.abc import Callable
@@ -38,16 +38,16 @@ def config(tmp_path: Path) -> str:
 @pytest.mark.parametrize("complete", [True, False])
 def test_kernels_that_do_not_stay_are_a_failure(monkeypatch: pytest.MonkeyPatch, complete: bool) -> None:
     """A deployment goes by the exit code."""
-    asked: list[tuple[str, ...]] = []
+    requests: list[tuple[str, ...]] = []
 
     def compiled(packages: tuple[str, ...]) -> Compilation:
-        asked.append(packages)
+        requests.append(packages)
         return Compilation(7, complete)
 
     monkeypatch.setattr("shoal.kernels.build.ensure_compiled", compiled)
     done = _run("compile")
     assert (done.exit_code, done.stdout) == ((0, "7 kernels compiled\n") if complete else (1, ""))
-    assert asked == [("robot_agent",)]
+    assert requests == [("robot_agent",)]
 
 
 def test_folders_of_kernels_that_stay_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -73,19 +73,19 @@ def test_a_unit_names_folder_and_user() -> None:
 
 
 def _zero(monkeypatch: pytest.MonkeyPatch, telemetry: Telemetry, program: bool = False) -> Callable[..., Result]:
-    told: list[bool] = []
+    requests: list[bool] = []
 
     def tell(board: object, in_air: bool) -> Telemetry:
-        told.append(in_air)
+        requests.append(in_air)
         return telemetry
 
     monkeypatch.setattr("robot_agent.host.zero_request.ask_program", lambda where, in_air: program)
     monkeypatch.setattr("robot_agent.host.zero_request.tell_board", tell)
 
     def run(config: str, state: Path, *options: str) -> Result:
-        told.clear()
+        requests.clear()
         done = _run("confirm-zero", "--config", config, "--state", str(state), *options)
-        assert told == ([] if program else ["--in-air" in options])
+        assert requests == ([] if program else ["--in-air" in options])
         return done
 
     return run
@@ -127,8 +127,8 @@ def test_a_board_that_keeps_no_zero_says_so(
 def test_a_check_fails_where_one_finding_does(
     monkeypatch: pytest.MonkeyPatch, config: str, verdicts: tuple[CheckVerdict, ...], code: int
 ) -> None:
-    found = [CheckFinding(f"part {k}", verdict, "so it is") for k, verdict in enumerate(verdicts)]
-    monkeypatch.setattr("robot_agent.preflight.board.run_preflight", lambda board, turn: iter(found))
+    lines = [CheckFinding(f"part {k}", verdict, "so it is") for k, verdict in enumerate(verdicts)]
+    monkeypatch.setattr("robot_agent.preflight.board.run_preflight", lambda board, turn: iter(lines))
     table, listed = _run("check", "--config", config), _run("check", "--config", config, "--json")
     assert table.exit_code == listed.exit_code == code
     assert [line.split() for line in table.stdout.splitlines()] == [

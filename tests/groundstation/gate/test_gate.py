@@ -260,9 +260,9 @@ def test_a_gate_has_places_for_the_router_and_a_door_as_soon_as_it_is_made_and_o
     try:
         places = []
         for _ in range(2):
-            new, known, door = gate.endpoint.listens
+            new_place, known_place, door = gate.endpoint.listens
             assert door == f"{DOOR}/{tmp_path / f'station-{port}.sock'}"
-            places += [part.partition("#")[0] for part in (new, known)]
+            places += [part.partition("#")[0] for part in (new_place, known_place)]
             inside = gate.inside
             assert (inside.address, inside.router, inside.access) == (places[-1], False, None)
             gate.draw()

@@ -70,7 +70,7 @@ def test_a_socket_has_a_short_path() -> None:
     assert fits(Path("/" + 99 * "a")) and not fits(Path("/" + 100 * "a"))
 
 
-def test_who_only_looks_makes_no_folder(machine: Path) -> None:
+def test_a_look_for_a_door_makes_no_folder(machine: Path) -> None:
     before = sorted(machine.rglob("*"))
     assert folders() == () and doors_of(7447) == [] and through_door("tls/127.0.0.1:7447") is None
     assert sorted(machine.rglob("*")) == before

@@ -1449,7 +1449,7 @@ def test_a_path_that_cannot_be_left_is_refused_with_the_one_reason_that_holds(se
 
 
 @pytest.mark.parametrize(
-    ("mode", "told"),
+    ("mode", "is_disarmed"),
     [
         (Mode.TRACKING, True),
         (Mode.HOLDING, True),
@@ -1457,7 +1457,7 @@ def test_a_path_that_cannot_be_left_is_refused_with_the_one_reason_that_holds(se
         (Mode.FAULT, False),
     ],
 )
-def test_a_lost_robot_that_is_silent_is_disarmed_with_the_others_if_it_may_have_power(mode: Mode, told: bool) -> None:
+def test_a_lost_robot_that_is_silent_is_disarmed_with_the_others_if_it_may_have_power(mode: Mode, is_disarmed: bool) -> None:
     """It may receive though it is not heard; one that had no power when it was last heard is left alone."""
     run = running(["mission.lost=go-on"], automatic=False)
     run.robots[2].mode, run.robots[2].silent = mode, True
@@ -1468,12 +1468,12 @@ def test_a_lost_robot_that_is_silent_is_disarmed_with_the_others_if_it_may_have_
     assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert run.at(MissionState.ENDING)
-    assert {command.order for command in run.robots[2].got} == ({CommandKind.DISARM} if told else set())
+    assert {command.order for command in run.robots[2].got} == ({CommandKind.DISARM} if is_disarmed else set())
 
 
 @pytest.mark.parametrize("flying", [True, False])
 @pytest.mark.parametrize(
-    ("mode", "out", "led", "told"),
+    ("mode", "out", "led", "orders"),
     [
         (Mode.TRACKING, False, False, {CommandKind.HOLD}),
         (Mode.DRIVEN, False, False, {CommandKind.HOLD}),
@@ -1487,7 +1487,7 @@ def test_a_lost_robot_that_is_silent_is_disarmed_with_the_others_if_it_may_have_
     ],
 )
 def test_a_robot_with_no_part_holds_if_it_moves_and_is_disarmed_if_it_is_out_of_the_water(
-    flying: bool, mode: Mode, out: bool, led: bool, told: set[CommandKind]
+    flying: bool, mode: Mode, out: bool, led: bool, orders: set[CommandKind]
 ) -> None:
     run = running(["mission.lost=go-on"], automatic=False) if flying else MissionRun(automatic=False)
     roster = run.mission.roster
@@ -1501,7 +1501,7 @@ def test_a_robot_with_no_part_holds_if_it_moves_and_is_disarmed_if_it_is_out_of_
     for robot in run.robots.values():
         robot.got.clear()
     run.step(0.5)
-    assert {command.order for command in run.robots[2].got} == told
+    assert {command.order for command in run.robots[2].got} == orders
     assert run.robots[1].got == [], "it has its part, or rests"
 
 

@@ -156,7 +156,7 @@ def test_a_request_is_refused_for_each_of_its_reasons(
         (K.LOAD, {"mode": Mode.TRACKING, "silent": True}, {}),
     ],
 )
-def test_what_is_no_reason_refuses_nothing(order: CommandKind, robot: dict[str, Any], changes: dict[str, Any]) -> None:
+def test_no_reason_stands_against_the_edge(order: CommandKind, robot: dict[str, Any], changes: dict[str, Any]) -> None:
     assert objection(order, _context(order, robot, **changes)) == ""
 
 

@@ -64,9 +64,9 @@ def test_a_path_is_changed_for_an_obstacle_that_was_seen_for_half_a_second_witho
 def test_a_lost_robot_is_a_disc_where_it_was_last_seen_and_none_if_it_never_was() -> None:
     experiment = load_experiment("pool", ["safety.bubble_max_m=0.4"])
     monitor = ObstacleMonitor(experiment)
-    seen = RobotView(RobotState(mode=Mode.FAULT, estimate=Estimate(np.array([0.5, -0.5, 0.3, 0.0]))), 9.0)
-    assert monitor.discs_to_avoid((seen, RobotView())).tolist() == [pytest.approx([0.5, -0.5, 0.7])]
-    assert monitor.discs_to_avoid((seen,), room_m=0.1).tolist() == [pytest.approx([0.5, -0.5, 0.4])]
+    located = RobotView(RobotState(mode=Mode.FAULT, estimate=Estimate(np.array([0.5, -0.5, 0.3, 0.0]))), 9.0)
+    assert monitor.discs_to_avoid((located, RobotView())).tolist() == [pytest.approx([0.5, -0.5, 0.7])]
+    assert monitor.discs_to_avoid((located,), room_m=0.1).tolist() == [pytest.approx([0.5, -0.5, 0.4])]
 
 
 def test_another_form_is_not_taken_into_what_lies_on_its_way() -> None:

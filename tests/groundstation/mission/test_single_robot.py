@@ -490,7 +490,7 @@ def test_a_robot_for_which_there_is_no_way_is_told_so_and_one_that_fails_meanwhi
     assert run.single.tasks[2].reason == "robot 2 is not heard"
 
 
-def test_what_people_read_about_a_robot_that_is_led() -> None:
+def test_the_status_of_a_led_robot_says_what_it_does() -> None:
     run = LedRun()
     run.ask(CommandKind.ARM)
     assert run.single.status() == {2: "arming"}

@@ -225,7 +225,7 @@ def test_an_automatic_run_ends_with_its_mission(tmp_path: Path, monkeypatch: pyt
     assert end.reached() and station.ended
 
 
-def test_what_cannot_be_written_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "run.mcap"))
 

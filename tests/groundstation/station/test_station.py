@@ -103,15 +103,15 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
         ("error", logging.ERROR, "log stopped: No space left on device (errno 28)"),
     ],
 )
-def test_what_a_recorder_says_is_told_once(
+def test_a_recorders_trouble_is_told_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, kind: str, level: int, text: str
 ) -> None:
     monkeypatch.setattr(Recorder, kind, text)
     with a_station(tmp_path) as station, caplog.at_level(logging.WARNING, "shoal"):
         for _ in range(3):
             station.cycle(station.clock.now_ns())
-    told = [(record.levelno, record.message) for record in caplog.records if record.message.startswith("recorder: ")]
-    assert told == [(level, f"recorder: {text}")]
+    lines = [(record.levelno, record.message) for record in caplog.records if record.message.startswith("recorder: ")]
+    assert lines == [(level, f"recorder: {text}")]
 
 
 def test_a_radio_breaks_only_where_the_simulator_owns_time(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_a_terminal_changes_gains_or_goes_back_to_those_of_before(tmp_path: Path
             assert (reply.accepted, reply.reason, reply.outcome) == (False, says, None)
 
 
-def test_what_nobody_simulates_is_not_broken(tmp_path: Path) -> None:
+def test_nothing_breaks_where_nobody_simulates(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         for text, says in (("thruster 1/3 dead", "nothing here is simulated"), ("rudder 1 lost", "cannot be broken")):
             reason, number = station.request(CommandKind.FAULT, text=text)

@@ -138,9 +138,9 @@ def test_a_folder_that_cannot_be_written_is_told_once(tmp_path: Path, caplog: py
 
 
 def test_a_zero_that_is_taken_over_is_said_where_it_matters(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    for depth_m, said in ((0.049, False), (0.051, True)):
+    for depth_m, is_logged in ((0.049, False), (0.051, True)):
         caplog.clear()
         assert life(tmp_path, "one", 200.0, 100.0, depth_m) is None
         assert life(tmp_path, "two", 40.0, 38.0, 0.0) == depth_m
-        assert ("the robot's last known depth" in caplog.text) is said
+        assert ("the robot's last known depth" in caplog.text) is is_logged
         (tmp_path / FILE).unlink()

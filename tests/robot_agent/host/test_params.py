@@ -104,12 +104,12 @@ def test_all_parameters_are_listed_and_one_is_printed(there: BoardInMemory) -> N
 
 
 def test_a_list_that_breaks_off_is_told(there: BoardInMemory) -> None:
-    heard = Receiver(lambda peer: True, SignatureVerifier(None))
-    kept = Sender((1, 1))
+    receiver = Receiver(lambda peer: True, SignatureVerifier(None))
+    sender = Sender((1, 1))
 
     def without_the_last(data: bytes) -> bytes:
-        messages = [m for m in heard.receive(data, 0) if m.get_type() != "PARAM_VALUE" or m.param_index < 10]
-        return b"".join(map(kept.pack, messages))
+        messages = [m for m in receiver.receive(data, 0) if m.get_type() != "PARAM_VALUE" or m.param_index < 10]
+        return b"".join(map(sender.pack, messages))
 
     there.tells = without_the_last
     assert _refused("list").endswith("the board told 10 parameters, and then no more")

@@ -177,14 +177,14 @@ def test_a_serial_port_says_what_is_wrong_with_what_comes_and_goes_round_the_usu
             os.read(controller, 100)
         rates.clear()
         for turn in range(10):
-            said = hear(3.0 + 0.31 * turn, b"noise")
-            assert ("at any of 57600, 250000, 115200" in said) is (turn >= 8), turn
+            trouble = hear(3.0 + 0.31 * turn, b"noise")
+            assert ("at any of 57600, 250000, 115200" in trouble) is (turn >= 8), turn
         ways = [57_600, 250_000, 115_200, 230_400, 460_800, 500_000, 921_600, 1_000_000]
-        known = [getattr(termios, f"B{rate}", None) for rate in ways]
-        assert [rate for rate, way in zip(rates, known, strict=False) if way is not None] == [
-            w for w in known if w is not None
+        speeds = [getattr(termios, f"B{rate}", None) for rate in ways]
+        assert [rate for rate, way in zip(rates, speeds, strict=False) if way is not None] == [
+            w for w in speeds if w is not None
         ]
-        assert rates[8:10] == [known[0], rates[1]], "and round again"
+        assert rates[8:10] == [speeds[0], rates[1]], "and round again"
         assert hear(6.0, FRAME) == "" == hear(6.5, b"")
         assert hear(6.51, b"").startswith("silent")
     finally:

@@ -40,12 +40,12 @@ def test_a_list_is_complete_when_each_place_has_come_once() -> None:
     assert parameters.is_complete and parameters.requests(1, 1) == []
 
 
-def test_what_is_asked_for_is_all_or_the_first_few_that_are_missing() -> None:
+def test_a_request_is_for_all_parameters_or_the_first_few_that_are_missing() -> None:
     (whole,) = ParameterList().requests(3, 1)
     assert whole.get_type() == "PARAM_REQUEST_LIST" and (whole.target_system, whole.target_component) == (3, 1)
-    asked = _listed(0, 2).requests(3, 1)
-    assert [message.param_index for message in asked] == [1, 3, 4, 5, 6, 7, 8, 9] and len(asked) == ASKED_AT_ONCE
-    assert {(m.get_type(), m.target_system, m.target_component) for m in asked} == {("PARAM_REQUEST_READ", 3, 1)}
+    requests = _listed(0, 2).requests(3, 1)
+    assert [message.param_index for message in requests] == [1, 3, 4, 5, 6, 7, 8, 9] and len(requests) == ASKED_AT_ONCE
+    assert {(m.get_type(), m.target_system, m.target_component) for m in requests} == {("PARAM_REQUEST_READ", 3, 1)}
     assert [message.param_index for message in _listed(*range(11)).requests(3, 1)] == [11]
 
 
@@ -78,7 +78,7 @@ def test_a_board_answers_values_errors_and_words() -> None:
     assert "no thruster board" in _heard(ParameterClient(), board, PILOT).objection()
 
 
-def test_what_is_asked_for_names_parameter_and_value() -> None:
+def test_a_request_names_parameter_and_value() -> None:
     client, parser = ParameterClient(7), dialect.MAVLink(None)
     read, written = parser.decode(bytearray(client.ask("A"))), parser.decode(bytearray(client.set("B", 0.5)))
     given = parser.decode(bytearray(client.give(OTHER, 99)))
