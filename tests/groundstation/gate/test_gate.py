@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import socket
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -31,6 +32,7 @@ from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Command, CommandKind, Reply
+from shoal.system import programs
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.gate.strangers import Strangers
 from tests.planted import executed, plant
@@ -270,6 +272,32 @@ def test_a_gate_has_places_for_the_router_and_a_door_as_soon_as_it_is_made_and_o
         assert gate.guard_pid == 0, "nobody is let in before it is opened"
     finally:
         gate.close()
+
+
+def test_a_guard_whose_station_reads_nothing_goes_on() -> None:
+    """What it has to say of strangers is lost; what it does is not."""
+    unread, output = os.pipe()
+    os.set_blocking(output, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(output, bytes(4096))
+    os.set_blocking(output, True)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        guard = programs.start(
+            "groundstation.gate.guard", [str(listener.fileno()), "9", "9"], stdin=subprocess.PIPE, stdout=output,
+            inherits=[listener.fileno()],
+        )  # fmt: skip
+        try:
+            for host in (1, 2, 3):  # each origin is told of once
+                stranger = socket.create_connection(listener.getsockname(), SOON_S, (f"127.0.0.{host}", 0))
+                with stranger:
+                    stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
+                    assert stranger.recv(1) == b""
+        finally:
+            guard.kill()
+            guard.communicate()
+            os.close(unread)
+            os.close(output)
 
 
 # --- what the guard passes on
