@@ -275,7 +275,7 @@ def test_a_gate_has_places_for_the_router_and_a_door_as_soon_as_it_is_made_and_o
 
 
 def test_a_guard_whose_station_reads_nothing_goes_on() -> None:
-    """What it has to say of strangers is lost; what it does is not."""
+    """Its sentences about strangers are lost; its work is not."""
     unread, output = os.pipe()
     os.set_blocking(output, False)
     with contextlib.suppress(BlockingIOError):
