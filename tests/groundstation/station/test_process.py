@@ -232,3 +232,18 @@ def test_a_log_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(process, "Recorder", full)
     with pytest.raises(ConfigError, match="No space left on device"):
         next(_Run(tmp_path).steps)
+
+
+def test_pictures_stop_at_the_experiments_limit_of_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limits: list[int] = []
+
+    def recorder(path: Path, toml: str, metadata: dict[str, str], stop_pictures_below: int) -> Recorder:
+        limits.append(stop_pictures_below)
+        return Recorder(path, toml, metadata, stop_pictures_below)
+
+    monkeypatch.setattr(process, "Recorder", recorder)
+    run = _Run(tmp_path, settings=["recording.stop_video_below_gb=0.003", "recording.min_free_gb=0.001"])
+    next(run.steps)
+    run.stop.request()
+    run.verdict()
+    assert limits == [3_000_000]
