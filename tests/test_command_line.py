@@ -106,6 +106,22 @@ def test_every_option_says_what_it_is_for(path: tuple[str, ...], command: Any) -
     assert not unexplained
 
 
+ON: dict[tuple[str, ...], set[str]] = {
+    ("groundstation", "deploy"): {"restart"},
+    ("localizer", "evaluate"): {"marker"},
+}  # switches with a --no- beside them
+
+
+def test_a_switch_is_off_until_a_person_sets_it() -> None:
+    """An open network, above all, and a file that is written over."""
+    switches = [
+        (path, p) for path, command in all_commands(hidden=True) for p in command.params if getattr(p, "is_flag", False)
+    ]
+    assert {"insecure", "link_insecure", "force"} <= {p.name for _, p in switches}
+    assert [(path, p.name) for path, p in switches if p.default is not (p.name in ON.get(path, ()))] == []
+    assert all(p.secondary_opts for path, p in switches if p.name in ON.get(path, ()))
+
+
 def numbers_of(command: Any) -> list[Any]:
     return [p for p in command.params if p.type_descriptor.annotation in (float, list[float])]
 

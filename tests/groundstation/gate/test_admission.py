@@ -13,6 +13,7 @@ from groundstation.gate.admission import (
     NotTls,
     RefusalReason,
     Refusals,
+    Tokens,
     asks_for_another_hello,
     hello_is_whole,
     origin_of,
@@ -409,3 +410,87 @@ def test_limits_that_depend_on_one_another_fit_together() -> None:
     assert endpoint.ACCEPT_MS < admission.YOUNG_S * 1e3  # or a stranger's session would count as a member's
     assert endpoint.TRY_MS < admission.TURN_S * 1e3  # or a connection would be closed that its client waits for
     assert admission.MOST_LINKS_EACH < guard.MOST_LINKS < endpoint.MOST_SESSIONS  # neither an origin nor all fill the router
+
+
+# --- limits, at their edges
+
+
+def _hello_of(whole: int, records: int) -> bytes:
+    """A ClientHello of so many bytes, its header included, in so many records."""
+    message = b"\x01" + (whole - 4).to_bytes(3) + bytes(whole - 4)
+    each = -(-whole // records)
+    parts = [message[k : k + each] for k in range(0, whole, each)]
+    assert len(parts) == records
+    return b"".join(b"\x16\x03\x01" + len(part).to_bytes(2) + part for part in parts)
+
+
+def test_a_hello_is_as_large_as_it_may_be_and_no_larger() -> None:
+    assert hello_is_whole(_hello_of(admission.MOST_HELLO, 1)) and hello_is_whole(_hello_of(4, 1))
+    assert hello_is_whole(_hello_of(1600, admission.MOST_RECORDS))
+    for data in (_hello_of(admission.MOST_HELLO + 1, 2), _hello_of(1700, admission.MOST_RECORDS + 1)):
+        with pytest.raises(NotTls):
+            hello_is_whole(data)
+    longest = b"\x16\x03\x01" + admission.MOST_HELLO.to_bytes(2)
+    assert not hello_is_whole(longest)
+    with pytest.raises(NotTls):
+        hello_is_whole(longest[:3] + (admission.MOST_HELLO + 1).to_bytes(2))
+
+
+def test_tokens_come_by_their_rate_up_to_the_burst_and_are_overdrawn_by_as_much() -> None:
+    tokens = Tokens(2.0, 0.5)
+    assert (tokens.left(0.0), tokens.next_s(0.0)) == (2.0, 0.0)
+    tokens.add(-1.5, 0.0)
+    assert (tokens.left(0.0), tokens.next_s(0.0)) == (0.5, 1.0)
+    tokens.add(-9.0, 0.0)
+    assert (tokens.left(0.0), tokens.next_s(0.0)) == (-2.0, 6.0)
+    assert (tokens.left(4.0), tokens.left(3.0), tokens.next_s(4.0)) == (0.0, 0.0, 6.0)
+    tokens.add(1.0, 4.0)
+    assert (tokens.left(4.0), tokens.left(5.0), tokens.left(1e6)) == (1.0, 1.5, 2.0)
+    tokens.add(5.0, 1e6)
+    assert tokens.left(1e6) == 2.0
+
+
+def test_the_next_look_is_for_the_first_thing_that_is_due() -> None:
+    door = Door()
+    assert door.admission.next_s(0.0) == float("inf")
+    for _ in range(int(admission.ORIGIN_BURST)):
+        number = door.come("10.0.0.1", 0.0, hello=True)
+        assert door.turns(0.0) == [(number, NEW)]
+        door.admission.ended(number, True, 0.0)
+    waits = door.come("10.0.0.1", 0.0, hello=True)
+    assert door.turns(0.0) == []
+    assert door.admission.next_s(0.0) == pytest.approx(1.0 / admission.ORIGIN_PER_S), "a token"
+    silent = door.come("10.0.0.2", 0.1 - admission.HELLO_S)
+    assert door.admission.next_s(0.0) == pytest.approx(0.1), "a connection that says nothing"
+    door.admission.gone(silent)
+    assert door.turns(0.4) == [(waits, NEW)]
+    assert door.admission.next_s(0.4) == pytest.approx(0.4 + admission.PROOF_S), "a handshake that does not end"
+
+
+def test_a_member_is_closed_late_and_a_stranger_soon() -> None:
+    door = Door()
+    for after_s, failed in ((admission.YOUNG_S - 0.01, True), (admission.YOUNG_S, False)):
+        assert door.admission.ended(door.join("10.0.0.1", 100.0), True, 100.0 + after_s) is failed
+        assert not door.admission.ended(door.join("10.0.0.1", 100.0), False, 100.0 + after_s)
+
+
+def test_a_connection_that_waits_is_closed_when_its_time_is_over() -> None:
+    door = Door(most_links=0)
+    silent, ready = door.come("10.0.0.1", 0.0), door.come("10.0.0.2", 0.5, hello=True)
+    assert door.admission.overdue(admission.HELLO_S - 0.01) == ()
+    assert door.admission.overdue(admission.HELLO_S) == (silent,)
+    assert door.admission.overdue(0.5 + admission.TURN_S - 0.01) == ()
+    assert door.admission.overdue(0.5 + admission.TURN_S) == (ready,) and door.admission.overdue(9.0) == ()
+
+
+def test_refusals_that_were_kept_back_are_told_when_their_time_has_come() -> None:
+    refusals = Refusals()
+    assert refusals.next_s() == float("inf")
+    refusals.note("10.0.0.1", UNPROVEN)
+    assert refusals.next_s() == float("-inf") and len(refusals.due_sentences(5.0)) == 1
+    refusals.note("10.0.0.1", UNPROVEN)
+    assert refusals.next_s() == 5.0 + admission.SAY_AGAIN_S
+    assert refusals.due_sentences(5.0 + admission.SAY_AGAIN_S - 0.01) == []
+    assert refusals.due_sentences(5.0 + admission.SAY_AGAIN_S) == [
+        "refused a connection from 10.0.0.1 without a valid certificate"
+    ]

@@ -2,8 +2,10 @@
 
 import contextlib
 import os
+import re
 import signal
 import socket
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -23,12 +25,14 @@ from groundstation.gate.guard import ANSWER_BYTES, CERTIFICATE_BYTES, Guard
 from shoal.bus.access_control import DOOR
 from shoal.bus.bus import Bus
 from shoal.bus.connection_diagnostics import trouble_reaching
+from shoal.bus.endpoint import Endpoint
 from shoal.bus.network import endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Command, CommandKind, Reply
+from shoal.system import programs
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.gate.strangers import Strangers
 from tests.planted import executed, plant
@@ -247,6 +251,53 @@ def test_a_closed_station_gives_its_port_back(ring: Path, monkeypatch: pytest.Mo
     assert kept is not None
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port), timeout=SOON_S)
+
+
+def test_a_gate_has_places_for_the_router_and_a_door_as_soon_as_it_is_made_and_others_when_they_are_taken(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(user_folders.ONLY, str(tmp_path))
+    port = free_port()
+    gate = Gate(Endpoint(f"tls/127.0.0.1:{port}", router=True))
+    try:
+        places = []
+        for _ in range(2):
+            new_place, known_place, door = gate.endpoint.listens
+            assert door == f"{DOOR}/{tmp_path / f'station-{port}.sock'}"
+            places += [part.partition("#")[0] for part in (new_place, known_place)]
+            inside = gate.inside
+            assert (inside.address, inside.router, inside.access) == (places[-1], False, None)
+            gate.draw()
+        assert len(set(places)) == 4 and all(re.fullmatch(r"tls/127\.0\.0\.1:\d+", place) for place in places)
+        assert gate.guard_pid == 0, "nobody is let in before it is opened"
+    finally:
+        gate.close()
+
+
+def test_a_guard_whose_station_reads_nothing_goes_on() -> None:
+    """Its sentences about strangers are lost; its work is not."""
+    unread, output = os.pipe()
+    os.set_blocking(output, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(output, bytes(4096))
+    os.set_blocking(output, True)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        guard = programs.start(
+            "groundstation.gate.guard", [str(listener.fileno()), "9", "9"], stdin=subprocess.PIPE, stdout=output,
+            inherits=[listener.fileno()],
+        )  # fmt: skip
+        try:
+            for host in (1, 2, 3):  # each origin is told of once
+                stranger = socket.create_connection(listener.getsockname(), SOON_S, (f"127.0.0.{host}", 0))
+                with stranger:
+                    stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
+                    assert stranger.recv(1) == b""
+        finally:
+            guard.kill()
+            guard.communicate()
+            os.close(unread)
+            os.close(output)
 
 
 # --- what the guard passes on

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from groundstation.gate import user_folders
+from groundstation.gate.gate import doors_of, through_door
 from groundstation.gate.user_folders import fits, is_private
 from groundstation.gate.user_folders import user_folders as folders
 
@@ -67,3 +68,10 @@ def test_one_folder_confines_and_counts_for_nothing_if_it_cannot_be_used(
 
 def test_a_socket_has_a_short_path() -> None:
     assert fits(Path("/" + 99 * "a")) and not fits(Path("/" + 100 * "a"))
+
+
+def test_a_look_for_a_door_makes_no_folder(machine: Path) -> None:
+    before = sorted(machine.rglob("*"))
+    assert folders() == () and doors_of(7447) == [] and through_door("tls/127.0.0.1:7447") is None
+    assert sorted(machine.rglob("*")) == before
+    assert len(doors_of(7447, make=True)) == 2 and sorted(machine.rglob("*")) != before

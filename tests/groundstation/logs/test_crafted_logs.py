@@ -321,3 +321,20 @@ def test_records_of_a_sound_log_are_those_of_the_recorder(tmp_path: Path) -> Non
     kinds = [type(record).__name__ for record in valid_records(tmp_path / "run.mcap")]
     assert {"Attachment", "Metadata", "Schema", "Channel", "Message"} <= set(kinds)
     assert max(map(len, BOMBS.values())) < LARGEST_BYTES  # none is refused for the size of its file
+
+
+def test_a_chunk_without_its_head_and_a_message_that_is_none_are_told(tmp_path: Path) -> None:
+    path, footer = tmp_path / "run.mcap", record(15, bytes(4)) + record(2, bytes(20)) + MCAP0_MAGIC
+    path.write_bytes(MCAP0_MAGIC + record(CHUNK, bytes(10)) + footer)
+    with pytest.raises(ConfigError, match=r"run\.mcap: cannot be read: byte 8: a chunk of 10 bytes"), open_log(tmp_path):
+        pass
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start(library="somebody")
+        schema = writer.register_schema("fleet.Pose", "protobuf", b"")
+        channel = writer.register_channel("shoal/robot/1/pose", "protobuf", schema, {"session": "1"})
+        for k, payload in enumerate((encode(pose(1)), b"\xff", encode(pose(2)))):
+            writer.add_message(channel, k + 1, payload, k + 1, k + 1)
+        writer.finish()
+    content = read_log(path)
+    assert (content.messages, content.undecodable) == (3, 1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.lap_statistics import FlownLaps, LapStatistics
+from groundstation.mission.lap_statistics import KEPT, FlownLaps, LapStatistics
 from shoal.messages.messages import Control, Estimate, Mode, RobotState
 
 LAP_S = 10.0
@@ -82,3 +82,30 @@ def test_laps_of_another_path_are_counted_from_its_own_beginning() -> None:
         note(laps, {1: 0.05 * k}, path=FlownLaps(4.0, path_s=15.0, flight=1))
     assert [lap.number for lap in laps.laps()] == [1, 2, 3]
     assert [lap.time_s for lap in laps.laps()][1] == pytest.approx(4.0, abs=0.11)
+
+
+def test_the_newest_laps_are_kept_and_another_flight_begins_anew() -> None:
+    laps = LapStatistics()
+    for k in range(1, 14 * 20):
+        note(laps, {1: 0.5 * k}, 0.001 * (1 + int(0.05 * k)))
+    assert [lap.number for lap in laps.laps()] == list(range(14 - KEPT + 1, 15))
+    assert [lap.max_m for lap in laps.laps()] == pytest.approx([0.001 * lap.number for lap in laps.laps()])
+    note(laps, {1: 140.5}, 0.02, FlownLaps(LAP_S, flight=1))
+    assert [(lap.number, lap.max_m) for lap in laps.laps()] == [(15, 0.02)]
+    note(laps, {1: 135.5}, 0.03, FlownLaps(LAP_S, flight=1))
+    assert [lap.number for lap in laps.laps()] == [15, 14], "back by no more than a resume is"
+    note(laps, {1: 130.4}, 0.04, FlownLaps(LAP_S, flight=1))
+    assert [(lap.number, lap.max_m) for lap in laps.laps()] == [(14, 0.04)], "another run"
+
+
+@pytest.mark.parametrize(
+    ("laps", "clock_s", "number", "next_s"),
+    [
+        (FlownLaps(10.0, 5.0), 0.0, 1, 15.0),
+        (FlownLaps(10.0, 5.0), 14.99, 1, 15.0),
+        (FlownLaps(10.0, 5.0), 15.0, 2, 25.0),
+        (FlownLaps(None, 5.0), 99.0, 0, 5.0),
+    ],
+)
+def test_laps_are_counted_from_the_paths_beginning(laps: FlownLaps, clock_s: float, number: int, next_s: float) -> None:
+    assert (laps.number(clock_s), laps.next_s(clock_s)) == (number, next_s)

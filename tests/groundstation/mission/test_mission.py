@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.mission.mission import PATIENCE_S, TEST_PATIENCE_S
+from groundstation.mission.mission import PATIENCE_S, STAGES, TEST_PATIENCE_S
 from groundstation.mission.obstacle_monitor import ObstacleSet
+from groundstation.mission.roster import Leader
 from groundstation.mission.state_machine import IN_FLIGHT, TERMINAL, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
@@ -1445,3 +1446,96 @@ def test_a_path_that_cannot_be_left_is_refused_with_the_one_reason_that_holds(se
         run.step()
     refused = run.mission.request(CommandKind.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
     assert refused == f"{why}: it cannot be left for other places under way"
+
+
+@pytest.mark.parametrize(
+    ("mode", "is_disarmed"),
+    [
+        (Mode.TRACKING, True),
+        (Mode.HOLDING, True),
+        (Mode.DISARMED, False),
+        (Mode.FAULT, False),
+    ],
+)
+def test_a_lost_robot_that_is_silent_is_disarmed_with_the_others_if_it_may_have_power(mode: Mode, is_disarmed: bool) -> None:
+    """It may receive though it is not heard; one that had no power when it was last heard is left alone."""
+    run = running(["mission.lost=go-on"], automatic=False)
+    run.robots[2].mode, run.robots[2].silent = mode, True
+    run.step(1.0)
+    assert 2 in run.mission.roster.lost
+    run.robots[2].got.clear()
+    run.robots[1].refuses = frozenset({CommandKind.DISARM})
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.at(MissionState.ENDING)
+    assert {command.order for command in run.robots[2].got} == ({CommandKind.DISARM} if is_disarmed else set())
+
+
+@pytest.mark.parametrize("flying", [True, False])
+@pytest.mark.parametrize(
+    ("mode", "out", "led", "orders"),
+    [
+        (Mode.TRACKING, False, False, {CommandKind.HOLD}),
+        (Mode.DRIVEN, False, False, {CommandKind.HOLD}),
+        (Mode.HOLDING, False, False, set()),
+        (Mode.ARMED, False, False, set()),
+        (Mode.FAULT, False, False, set()),
+        (Mode.TRACKING, False, True, set()),
+        (Mode.TRACKING, True, False, {CommandKind.DISARM}),
+        (Mode.ARMED, True, False, {CommandKind.DISARM}),
+        (Mode.DISARMED, True, False, set()),
+    ],
+)
+def test_a_robot_with_no_part_holds_if_it_moves_and_is_disarmed_if_it_is_out_of_the_water(
+    flying: bool, mode: Mode, out: bool, led: bool, orders: set[CommandKind]
+) -> None:
+    run = running(["mission.lost=go-on"], automatic=False) if flying else MissionRun(automatic=False)
+    roster = run.mission.roster
+    if flying:
+        roster.mark_lost(2, "silent")
+    if out:
+        roster.take_out(2)
+    if led:
+        roster.led_by[2] = Leader.PERSON
+    run.robots[2].mode, run.robots[2].refuses = mode, frozenset(CommandKind)
+    for robot in run.robots.values():
+        robot.got.clear()
+    run.step(0.5)
+    assert {command.order for command in run.robots[2].got} == orders
+    assert run.robots[1].got == [], "it has its part, or rests"
+
+
+ANY = frozenset(Mode) | {None}
+STOPS = frozenset({Mode.DISARMED, Mode.FAULT})
+
+
+@pytest.mark.parametrize(
+    ("state", "order", "modes"),
+    [
+        (MissionState.LOADING, CommandKind.LOAD, None),
+        (MissionState.ARMING, CommandKind.ARM, {Mode.ARMED, Mode.HOLDING}),
+        (MissionState.STARTING, CommandKind.START, {Mode.TRACKING}),
+        (MissionState.RESUMING, CommandKind.RESUME, {Mode.TRACKING}),
+        (MissionState.RELOADING, CommandKind.LOAD, None),
+        (MissionState.REARMING, CommandKind.ARM, {Mode.ARMED, Mode.HOLDING}),
+        (MissionState.RELEASING, CommandKind.START, {Mode.TRACKING}),
+        (MissionState.ENDING, CommandKind.DISARM, {Mode.DISARMED}),
+        (MissionState.CLEARING, CommandKind.CLEAR_STOP, STOPS),
+        (MissionState.ABORTING, CommandKind.DISARM, STOPS | {Mode.STOPPED}),
+        (MissionState.TEST_ARMING, CommandKind.ARM, {Mode.ARMED}),
+        (MissionState.TEST_ENDING, CommandKind.DISARM, {Mode.DISARMED}),
+    ],
+)
+def test_a_stage_is_done_by_the_modes_that_confirm_its_command(
+    state: MissionState, order: CommandKind, modes: frozenset[Mode] | None
+) -> None:
+    """Or, with None, by what is loaded, whatever the mode."""
+    stage = STAGES[state]
+    assert stage.order is order
+    for loaded in (True, False):
+        done = {mode for mode in ANY if stage.confirmed(mode, loaded)}
+        assert done == ((ANY if loaded else set()) if modes is None else modes), loaded
+
+
+def test_every_stage_has_its_confirmation_here() -> None:
+    assert len(STAGES) == 12

@@ -9,6 +9,7 @@ import pytest
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.single_robot import VELOCITY_LASTS_S, SingleRobotControl
 from groundstation.mission.state_machine import MissionState
+from groundstation.planning.feasibility import PlanError
 from groundstation.telemetry import RobotView
 from shoal.messages.messages import CommandKind, DriveVelocity, Mode, Progress, required
 from tests.groundstation.mission.mission_run import MissionRun
@@ -430,3 +431,118 @@ def test_a_robot_that_is_led_alone_holds_when_its_poses_are_another_experiments(
     for refused in (run.drive(), run.ask(CommandKind.GO, place_m=(1.0, 0.5))):
         assert refused.startswith("robot 2: its poses are by another experiment")
     assert run.ask(CommandKind.DISARM) == ""
+
+
+# --- every way in which a task ends or is refused
+
+
+def test_a_repeated_request_is_the_same_task_and_a_robot_may_be_taken_out_while_it_is_disarmed() -> None:
+    run = LedRun()
+    assert run.ask(CommandKind.DISARM) == ""
+    task = run.single.tasks[2]
+    assert run.ask(CommandKind.DISARM) == "" and run.single.tasks[2] is task and run.single.led == {2}
+    assert run.ask(CommandKind.OUT) == ""
+    assert (task.progress, task.reason) == (Progress.FAILED, "out was asked for instead")
+    assert run.single.tasks[2].progress is Progress.DONE and run.single.led == frozenset()
+    assert run.ask(CommandKind.OUT) == "robot 2 is out of the water"
+    assert run.ask(CommandKind.OUT, robot=1) == "robot 1 is the last one in the water"
+    assert run.ask(CommandKind.BACK_IN) == "" and run.ask(CommandKind.BACK_IN) == "robot 2 is not out of the water"
+    assert run.ask(CommandKind.OUT, robot=1) == ""
+
+
+@pytest.mark.parametrize(
+    ("silent", "says"), [(False, "robot 2 refuses ARM: I refuse"), (True, "has not answered ARM: no answer")]
+)
+def test_a_task_that_a_robot_does_not_do_fails_in_the_end_with_its_last_word(silent: bool, says: str) -> None:
+    run = LedRun()
+    assert run.ask(CommandKind.ARM) == ""
+    run.robots[2].refuses, run.robots[2].silent = frozenset({CommandKind.ARM}), silent
+    run.step(9.9)
+    task = run.single.tasks[2]
+    assert run.single.led == {2} and run.single.status()[2].startswith("arming: ")
+    run.step(0.3)
+    assert task.progress is Progress.FAILED and says in task.reason and run.single.led == frozenset()
+
+
+def test_a_task_of_a_robot_that_accepts_and_does_nothing_fails_with_its_mode() -> None:
+    run = LedRun()
+    run.ask(CommandKind.ARM)
+    run.step(0.2)
+    run.ask(CommandKind.HOLD)
+    for _ in range(103):
+        run.robots[2].mode = Mode.ARMED  # whatever it said
+        run.single.step(run.fleet(), (), run.now_ns)
+        run.now_ns += 100_000_000
+    assert (run.single.tasks[2].progress, run.single.tasks[2].reason) == (Progress.FAILED, "robot 2 is ARMED")
+
+
+def test_a_driven_robot_that_fails_ends_its_drive_and_one_that_flies_holds_first() -> None:
+    run = LedRun()
+    run.ask(CommandKind.ARM)
+    run.step(0.2)
+    run.drive()
+    assert run.got(2) == [CommandKind.ARM]
+    run.step(0.05)
+    assert run.got(2)[-1] is CommandKind.HOLD, "armed robots hold before they are driven"
+    run.step(0.1)
+    run.robots[2].mode = Mode.FAULT
+    run.step(0.05)
+    assert run.single.tasks[2].reason == "robot 2 is FAULT" and run.single.led == frozenset()
+
+
+def test_a_robot_for_which_there_is_no_way_is_told_so_and_one_that_fails_meanwhile() -> None:
+    run = LedRun()
+    run.ask(CommandKind.ARM)
+    run.step(0.2)
+    run.plan_takes_s = 99.0
+    assert run.ask(CommandKind.GO, place_m=(0.5, 0.8)) == "" and run.single.status() == {2: "on its way to 0.50, 0.80 m"}
+    run.step(0.3)
+    request = run.single.plan_request
+    assert request is not None
+    run.single.planned(PlanError("an island"), run.fleet(), run.now_ns)
+    assert run.single.tasks[2].reason == "no way there: an island" and run.single.plan_request is None
+    assert run.ask(CommandKind.GO, place_m=(0.5, 0.8)) == ""
+    run.step(0.3)
+    assert run.ask(CommandKind.HOLD) == ""
+    run.single.planned(PlanError("late"), run.fleet(), run.now_ns)
+    assert run.single.tasks[2].order is CommandKind.HOLD and run.single.tasks[2].reason == "", "a plan that nobody wants"
+    run.step(0.2)
+    assert run.ask(CommandKind.GO, place_m=(0.5, 0.8)) == ""
+    run.robots[2].silent = True
+    run.step(0.1)
+    assert run.single.tasks[2].reason == "robot 2 is not heard"
+
+
+def test_the_status_of_a_led_robot_says_what_it_does() -> None:
+    run = LedRun()
+    run.ask(CommandKind.ARM)
+    assert run.single.status() == {2: "arming"}
+    run.step(0.2)
+    assert run.single.status() == {}
+    run.drive()
+    run.step(0.1)
+    run.drive(DriveVelocity())
+    assert run.single.status() == {2: "coming to rest"}
+    run.step(0.2)
+    run.ask(CommandKind.DISARM)
+    assert run.single.status() == {2: "disarming"}
+
+
+@pytest.mark.parametrize(
+    ("place_m", "says"),
+    [
+        (None, "where to"),
+        ((1.0, 1.5), ""),
+        ((1.0, -1.501), "outside the pool"),
+        ((2.001, 1.0), "outside the pool"),
+        ((-2.0, 1.0), ""),
+        ((-0.4, 0.6), ""),
+        ((-0.4, 0.599), "less than 0.6 m from robot 1"),
+    ],
+)
+def test_a_place_is_in_the_pool_and_clear_of_the_other_robots(place_m: tuple[float, float] | None, says: str) -> None:
+    run = LedRun("pool.size_m=[4.0, 3.0, 1.2]")
+    run.ask(CommandKind.ARM)
+    run.step(0.2)
+    reason = run.ask(CommandKind.GO, place_m=place_m)
+    assert says in reason and bool(reason) is bool(says)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
+from groundstation.client import gains_command
 from groundstation.formation_clock import named_alone
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import RETRY_S
@@ -41,6 +42,8 @@ from shoal.messages.messages import (
     CameraHealth,
     Command,
     CommandKind,
+    DriveVelocity,
+    Estimate,
     FaultRequest,
     LocalizerStatus,
     Mode,
@@ -93,15 +96,22 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     recorder.close()
 
 
-def test_a_recorders_warning_is_told_once(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("kind", "level", "text"),
+    [
+        ("warning", logging.WARNING, "pictures are not recorded any longer"),
+        ("error", logging.ERROR, "log stopped: No space left on device (errno 28)"),
+    ],
+)
+def test_a_recorders_trouble_is_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, kind: str, level: int, text: str
 ) -> None:
-    monkeypatch.setattr(Recorder, "warning", "pictures are not recorded any longer")
+    monkeypatch.setattr(Recorder, kind, text)
     with a_station(tmp_path) as station, caplog.at_level(logging.WARNING, "shoal"):
         for _ in range(3):
             station.cycle(station.clock.now_ns())
-    warnings = [record.message for record in caplog.records if record.message.startswith("recorder: ")]
-    assert warnings == ["recorder: pictures are not recorded any longer"]
+    lines = [(record.levelno, record.message) for record in caplog.records if record.message.startswith("recorder: ")]
+    assert lines == [(level, f"recorder: {text}")]
 
 
 def test_a_radio_breaks_only_where_the_simulator_owns_time(tmp_path: Path) -> None:
@@ -130,6 +140,54 @@ def test_the_heartbeat_tells_when_the_flight_began(tmp_path: Path) -> None:
         station.cycle(station.clock.now_ns())
         received = beats.newest()
         assert received is not None and received.message.began_ns == 1_234_000_000
+
+
+def test_the_heartbeat_says_of_the_mission_what_others_act_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        others = Bus(MemoryTransport(hub))
+        beats = others.inbox(topics.HEARTBEAT, StationHeartbeat)
+
+        def beat() -> StationHeartbeat:
+            station.cycle(station.clock.now_ns())
+            received = beats.newest()
+            assert received is not None
+            return received.message
+
+        first = beat()
+        assert (first.experiment_hash, first.code, first.emergency_stop) == (station.experiment.hash, station.code, False)
+        assert (first.mission, first.lag_s, first.slowing, first.planned, first.out) == ("WAITING", 0.0, 0.0, (), ())
+        assert (first.flight_s, first.other_path) == (station.mission.segment.end_s, False)
+        others.publish(topics.STATE, RobotState(estimate=Estimate()), station.clock.now_ns(), 2)
+        others.publish(topics.STATE, RobotState(), station.clock.now_ns(), 1)
+        assert station.request(CommandKind.OUT, only=1)[0] == ""
+        station.mission.governor.lag_s, station.mission.governor.rate = 1.5, 0.75
+        monkeypatch.setattr(station.mission.governor, "step", lambda *_: None)
+        station.mission.plans.segment = replace(station.mission.segment, is_return=True)
+        second = beat()
+        assert (second.lag_s, second.slowing, second.planned, second.out, second.flight_s) == (1.5, 0.25, (2,), (1,), 0.0)
+        assert station.request(CommandKind.STOP)[0] == ""
+        third = beat()
+        assert third.emergency_stop and third.mission == "STOPPED"
+
+
+def test_a_terminal_changes_gains_or_goes_back_to_those_of_before(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        station.cycle(station.clock.now_ns())
+        for changes, says in (
+            ([], "there is nothing to undo"),
+            (["controller.nmpc.heading_m=0.02"], "robot 1, 2 is not heard"),
+        ):
+            reply = station.on_operator_command(Header(5, 1, 0), gains_command(changes))
+            assert (reply.accepted, reply.reason, reply.outcome) == (False, says, None)
+
+
+def test_nothing_breaks_where_nobody_simulates(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        for text, says in (("thruster 1/3 dead", "nothing here is simulated"), ("rudder 1 lost", "cannot be broken")):
+            reason, number = station.request(CommandKind.FAULT, text=text)
+            assert says in reason and number == 0
+        assert "no robot 7" in station.drive(7, DriveVelocity(surge_mps=0.1))
 
 
 def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
@@ -203,7 +261,9 @@ def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, 
     assert all(out_of_time() for out_of_time in deadlines)
 
 
-def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
+def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with a_station(tmp_path) as station:
         mission = station.mission
         station.views = station.fleet()
@@ -216,6 +276,7 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
             station.plan(0)
         assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
+    assert any(record.exc_info and record.message == "planning failed" for record in caplog.records), "where it broke"
 
 
 def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) -> None:

@@ -71,6 +71,12 @@ def life(folder: Path, boot: str, at_s: float, on_for_s: float, depth_m: float) 
         ("two", 40.0, 38.0, 0.8),  # both
         ("two", 40.0, 900.0, None),  # the computer alone
         ("one", 1000.0 + MS_WRAPS * 1e-3, 900.0 + MS_WRAPS * 1e-3, None),  # 49.7 days
+        ("one", 1000.0, 887.01, None),  # 13 s: a burst's wait and 800 s of drift
+        ("one", 1000.0, 886.9, 0.8),
+        ("one", 1000.0, 912.99, None),
+        ("one", 1000.0, 913.1, 0.8),
+        ("two", 40.0, 45.5, None),
+        ("two", 40.0, 45.3, 0.8),
     ],
 )
 def test_the_zero_is_in_doubt_where_the_board_alone_or_both_were_switched_on_again(
@@ -89,3 +95,52 @@ def test_a_robot_that_was_in_air_and_a_file_that_holds_nothing_raise_no_doubt(tm
         assert life(tmp_path, "three", 40.0, 38.0, 0.0) is None
     assert BoardZero(None).note(Telemetry(board_ms=5)) is None
     assert life(tmp_path / "gone", "one", 40.0, 38.0, math.pi) is None
+
+
+def test_the_file_follows_the_depth_in_steps_and_not_too_often(tmp_path: Path) -> None:
+    now = [1000.0]
+    zero = BoardZero(tmp_path, "one", lambda: now[0])
+
+    def kept_m(at_s: float, depth_m: float, restarted: bool = False) -> float | None:
+        now[0] = 1000.0 + at_s
+        zero.note(Telemetry(board_ms=round(1e3 * (500.0 + at_s)), depth_m=depth_m, restarted=restarted))
+        record = read_record(tmp_path)
+        return record.depth_m if record is not None else None
+
+    assert kept_m(0.0, 1.0, restarted=True) is None, "a board that says how its life began"
+    assert kept_m(0.0, 1.0) == 1.0
+    assert [kept_m(at_s, 2.0) for at_s in (5.0, 8.9, 10.0)] == [1.0, 1.0, 2.0]
+    assert [kept_m(at_s, depth_m) for at_s, depth_m in ((30.0, 2.04), (40.0, 1.96), (50.0, 2.06))] == [2.0, 2.0, 2.06]
+    (tmp_path / FILE).unlink()
+    assert kept_m(70.0, 3.0) == 3.0
+    assert [kept_m(at_s, 4.0) for at_s in (81.0, 81.5)] == [4.0, 4.0]
+    assert [kept_m(at_s, 9.0) for at_s in (91.9, 92.9)] == [9.0, 9.0]
+
+
+def test_the_board_is_looked_at_once_a_second_and_not_before_it_has_said_a_word(tmp_path: Path) -> None:
+    now = [1000.0]
+    zero = BoardZero(tmp_path, "one", lambda: now[0])
+    assert zero.note(Telemetry(board_ms=-1, depth_m=1.0)) is None and read_record(tmp_path) is None
+    for at_s, depth_m, kept_m in ((0.0, 1.0, 1.0), (0.99, 2.0, 1.0), (10.0, 3.0, 3.0), (10.9, 4.0, 3.0)):
+        now[0] = 1000.0 + at_s
+        zero.note(Telemetry(board_ms=round(5e5 + 1e3 * at_s), depth_m=depth_m))
+        record = read_record(tmp_path)
+        assert record is not None and record.depth_m == kept_m
+
+
+def test_a_folder_that_cannot_be_written_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    now = [1000.0]
+    zero = BoardZero(tmp_path / "gone", "one", lambda: now[0])
+    for turn in range(5):
+        now[0] += 20.0
+        zero.note(Telemetry(board_ms=20_000 * (turn + 1), depth_m=float(turn)))
+    assert [record.message.partition(":")[0] for record in caplog.records] == ["the robot's depth cannot be kept"]
+
+
+def test_a_zero_that_is_taken_over_is_said_where_it_matters(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for depth_m, is_logged in ((0.049, False), (0.051, True)):
+        caplog.clear()
+        assert life(tmp_path, "one", 200.0, 100.0, depth_m) is None
+        assert life(tmp_path, "two", 40.0, 38.0, 0.0) == depth_m
+        assert ("the robot's last known depth" in caplog.text) is is_logged
+        (tmp_path / FILE).unlink()

@@ -241,6 +241,80 @@ def test_values_that_do_not_go_together(setting: str, complaint: str) -> None:
     assert str(EXPERIMENTS / "pool.toml") in str(caught.value) or f"--set {setting}: " in str(caught.value)
 
 
+WAY = 'path={{kind="waypoints", points_m=[{}], speed_mps=1, {}}}'
+SHORT, LONG = ", ".join(30 * ["[0, 0]"]), ", ".join(31 * ["[0, 0]"])
+CORNERS = ("[1, 1, 0]", "[1, 0, 0]", "[0, 1, 0]", "[0, 0, {}]")
+
+
+def _landmarks(*places: str, ids: tuple[int, ...] = (40, 41, 42, 43), depth: str = "0") -> str:
+    marks = [f"{{id={number}, position_m={place.format(depth)}}}" for number, place in zip(ids, places, strict=False)]
+    return f"landmarks=[{', '.join(marks)}]"
+
+
+def _changes(*at_s: float) -> str:
+    return f"formation.changes=[{', '.join(f'{{at_s={each}, over_s=5.0}}' for each in at_s)}]"
+
+
+@pytest.mark.parametrize(
+    ("allowed", "refused", "complaint"),
+    [
+        ("safety.pose_neutral_s=0.191", "safety.pose_neutral_s=0.19", "must be more than pose_hold_s = 0.19"),
+        ("safety.station_neutral_s=1.01", "safety.station_neutral_s=1.0", "must be more than station_hold_s = 1.0"),
+        ("safety.station_disarm_s=3.01", "safety.station_disarm_s=3.0", "must be more than station_neutral_s = 3.0"),
+        ("formation.leader=2", "formation.leader=3", r"formation.leader = 3: no such robot \(allowed: 1, 2\)"),
+        (_changes(1.0, 6.0), _changes(1.0, 5.9), r"at_s = 5.9: the one before ends at 6 s \(allowed: that or later\)"),
+        (
+            "formation.changes=[{at_s=1.0, order=[2, 1]}]",
+            "formation.changes=[{at_s=1.0, order=[2, 2]}]",
+            r"order = \[2, 2\]: \(allowed: each of 1, 2 once",
+        ),
+        (
+            "sim.plant.disturbance_hz=[0.1, 0.2]",
+            "sim.plant.disturbance_hz=[0.1, 0.2, 0.3]",
+            r"disturbance_hz: 3 values for 2 robots",
+        ),
+        ("robots.0.neighbours=[2]", "robots.0.neighbours=[1]", "neighbours of robot 1: 1 is not allowed"),
+        ("mission.wait_from_m=0.49", "mission.wait_from_m=0.5", "wait_at_m = 0.5 must be more than wait_from_m = 0.5"),
+        ("controller.law=my.module:Law_2", "controller.law=my.module", "must be one of 'nmpc', .* or a law of your own"),
+        ("controller.law=m:L", "controller.law=1:L", "must be one of 'nmpc', .* or a law of your own"),
+        ("controller.estimator.kind=kalman", "controller.estimator.kind=eso", 'the law nmpc needs "kalman"'),
+        (
+            WAY.format("[0, 0], [1, 0]", "start_index=1"),
+            WAY.format("[0, 0], [1, 0]", "start_index=2"),
+            r"start_index = 2: no such waypoint \(allowed: 0 to 1\)",
+        ),
+        (
+            WAY.format("[0, 0], [1, 0]", 'corner="stop"'),
+            WAY.format("[0, 0], [1, 0]", 'corner="stop", dive_mps=0.01'),
+            "dive_mps = 0.01: a path that stops at its corners is level",
+        ),
+        (WAY.format(SHORT, "laps=1000"), WAY.format(LONG, "laps=1000"), "31 waypoints so often are more than 30000"),
+        (_landmarks(*CORNERS), _landmarks(*CORNERS[:3]), "landmarks: 3 cannot place a camera"),
+        (_landmarks(*CORNERS), _landmarks(*CORNERS, ids=(40, 41, 42, 40)), "landmarks: id 40 is used twice"),
+        (_landmarks(*CORNERS), _landmarks(*CORNERS, ids=(2, 41, 42, 43)), r"id 2 is the marker of robot 2 \(free: 0, 3, 4"),
+        (_landmarks(*CORNERS, depth="1.0"), _landmarks(*CORNERS, depth="1.1"), r"id 43 at z = 1.1 lies below the floor"),
+    ],
+)
+def test_a_rule_between_keys_allows_its_edge_and_nothing_beyond(allowed: str, refused: str, complaint: str) -> None:
+    size = "pool.size_m.2=1.0"
+    load_experiment("pool", [size, allowed])
+    with pytest.raises(ConfigError, match=complaint):
+        load_experiment("pool", [size, refused])
+
+
+def test_landmarks_and_check_marks_stand_alone() -> None:
+    marks = _landmarks(*CORNERS)
+    load_experiment("pool", [marks.replace("landmarks", "check_marks")])
+    with pytest.raises(ConfigError, match="check_marks: they check a fixed camera"):
+        load_experiment("pool", [marks, "check_marks=[{id=44, position_m=[0, 0, 0]}]"])
+
+
+def test_the_plant_keeps_step_with_control_or_is_refused() -> None:
+    assert load_experiment("pool", ["sim.plant.step_s=0.005"]).plant_steps == 10
+    with pytest.raises(ConfigError, match=r"plant.step_s = 0.003: must go into controller.period_s = 0.05 without a rest"):
+        assert load_experiment("pool", ["sim.plant.step_s=0.003"]).plant_steps
+
+
 @pytest.mark.parametrize("formation", ["formation.shape=line", "formation.shape=circle"])
 def test_a_formation_by_name_of_no_robots_is_refused_for_the_robots(formation: str) -> None:
     with pytest.raises(ConfigError, match=r"robots = .*at least 1"):

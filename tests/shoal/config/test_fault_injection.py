@@ -1,9 +1,12 @@
 """The fault timeline's language: what it understands, and what it answers to what it does not."""
 
+import re
+from typing import Any
+
 import pytest
 
 from shoal.config.experiment import load_experiment
-from shoal.config.fault_injection import Break, fault_table, read_what
+from shoal.config.fault_injection import KINDS, Break, fault_table, read_request, read_what
 from shoal.errors import ConfigError
 from sim_bridge.fault_schedule import FaultSchedule
 
@@ -84,3 +87,77 @@ def test_lines_are_added_to_the_file_s_own() -> None:
 def test_a_fault_holds_for_its_time() -> None:
     (fault,) = load_experiment("pool", faults=["t=20 for=5 camera dark"]).sim.faults
     assert [fault.holds(t) for t in (-1.0, 19.99, 20.0, 24.99, 25.0)] == [False, False, True, True, False]
+
+
+# a target of each kind, as a person writes it, and its meaning
+TARGETS: dict[str, tuple[str, dict[str, Any]]] = {
+    "ROBOT/THRUSTER": ("2/8", {"robot": 2, "thruster": 8}),
+    "ROBOT": ("2", {"robot": 2}),
+    "[CAMERA]": ("east", {"camera": "east"}),
+    "X,Y": ("-1.5,0.25", {"place_m": (-1.5, 0.25)}),
+    "NAME": ("agent-2", {"process": "agent-2"}),
+    "": ("", {}),
+}
+
+
+@pytest.mark.parametrize(("kind", "effect"), [(kind, effect) for kind, (_, effects) in KINDS.items() for effect in effects])
+def test_every_fault_has_its_target_and_a_number_in_its_range_or_none(kind: str, effect: str) -> None:
+    target, effects = KINDS[kind]
+    text, meaning = TARGETS[target]
+    words, limits = " ".join(filter(None, (kind, text, effect))), effects[effect]
+    assert read_what(words) == Break(kind, effect, limits.default, **meaning)
+    if not limits.meaning:
+        with pytest.raises(ValueError, match=f"must read: {kind}"):
+            read_what(f"{words} 1")
+        return
+    assert limits.low <= limits.default <= limits.high
+    for number in (limits.low, limits.high):
+        assert read_what(f"{words} {number!r}") == Break(kind, effect, number, **meaning)
+    for number in (limits.low - 1e-3, limits.high + 1e-3):
+        with pytest.raises(ValueError, match=re.escape(f"must be the {limits.meaning}, {limits.low:g} to {limits.high:g}")):
+            read_what(f"{words} {number!r}")
+    for wrong in ("much", "nan", "1 1"):
+        with pytest.raises(ValueError, match="must "):
+            read_what(f"{words} {wrong}")
+
+
+@pytest.mark.parametrize(("target", "text"), [(target, text) for target, (text, _) in TARGETS.items() if text])
+def test_a_fault_without_its_target_or_with_a_wrong_one_is_refused(target: str, text: str) -> None:
+    for kind, (wanted, effects) in KINDS.items():
+        effect = next(iter(effects))
+        if wanted == target != "[CAMERA]":
+            for words in (f"{kind} {effect}", kind, f"{kind} {text}", f"{kind} {text} {text} {effect}"):
+                with pytest.raises(ValueError, match=f"must read: {kind}"):
+                    read_what(words)
+    assert read_what("camera dark") == Break("camera", "dark")
+
+
+def test_thrusters_are_counted_from_one_to_eight_and_robots_from_one() -> None:
+    assert read_what("thruster 1/1 dead") == Break("thruster", "dead", robot=1, thruster=1)
+    for text, why in (("1/0", "thruster 0 of robot 1: no such"), ("1/9", "allowed: 1 to 8"), ("0/1", "robot 0: no robot")):
+        with pytest.raises(ValueError, match=why):
+            read_what(f"thruster {text} dead")
+
+
+def test_a_persons_fault_lasts_up_to_a_day() -> None:
+    assert read_request("link 1 cut for 86400", (1, 2), (1,)) == ("link 1 cut", 86400.0)
+    assert read_request(" link 1 cut ", (1, 2), (1,)) == ("link 1 cut", 0.0)
+    assert read_request("repair", (1,), (1,)) == ("", 0.0)
+    assert read_request("camera dark for 5", (1,), (1,)) == ("camera dark", 5.0)
+    assert read_request("water gust", (1,), (1,)) == ("water gust", 0.0)
+    for text, why in (
+        ("link 1 cut for 86401", "for 86401: must be seconds"),
+        ("link 1 cut for 0", "for 0: must be seconds"),
+        ("link 3 cut", r"no robot 3 \(allowed: 1, 2\)"),
+        ("camera east dark", "no camera 'east' .allowed: no name: there is one camera"),
+        *(
+            (text, "only by the timeline")
+            for text in ("process agent-1 killed", "disk full", "clock agent-1 step", "water low")
+        ),
+    ):
+        with pytest.raises(ValueError, match=why):
+            read_request(text, (1, 2), (1,))
+    for text in ("camera dark", "marker 1 lost"):
+        with pytest.raises(ValueError, match="no camera sees it"):
+            read_request(text, (1, 2), (1,), uses_camera=False)
+    assert read_request("link 1 cut", (1, 2), (1,), uses_camera=False) == ("link 1 cut", 0.0)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from shoal.config.loader import MOST_BYTES, Section, apply_setting, check, read_toml
+from shoal.config.loader import MOST_BYTES, MOST_PARTS, Section, apply_setting, check, parse_toml, read_toml
 from shoal.errors import ConfigError
 
 
@@ -250,3 +250,17 @@ def test_a_written_toml_table_is_read_back(tmp_path_factory: pytest.TempPathFact
     path = tmp_path_factory.getbasetemp() / "round.toml"
     path.write_text(tomli_w.dumps(table), encoding="utf-8", newline="")
     assert read_toml(path) == table
+
+
+def test_text_that_came_over_the_network_is_no_longer_than_a_file_may_be() -> None:
+    line = "a = 1\n"
+    longest = line + "#" * (MOST_BYTES - len(line))
+    assert parse_toml(longest, "a message") == {"a": 1}
+    with pytest.raises(ConfigError, match=f"a message: cannot be read: larger than {MOST_BYTES} bytes"):
+        parse_toml(longest + "#", "a message")
+
+
+def test_a_key_has_so_many_parts_and_no_more() -> None:
+    parse_toml(".".join("k" * MOST_PARTS) + " = 1", "a message")
+    with pytest.raises(ConfigError, match=rf"a message: not valid TOML: a key of more than {MOST_PARTS} parts \(at line 2\)"):
+        parse_toml("\n" + ".".join("k" * (MOST_PARTS + 1)) + " = 1", "a message")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from shoal.config.experiment import load_experiment
 from shoal.config.loader import check
-from shoal.config.vehicle import VEHICLES, Thruster, Vehicle, load_vehicle
+from shoal.config.vehicle import VEHICLES, FixedThruster, Thruster, Vehicle, load_vehicle
 from shoal.errors import ConfigError
 from shoal.messages.messages import required
 
@@ -253,3 +253,37 @@ def test_legs_push_no_robot_sideways_and_laws_of_three_axes_refuse_one_that_is_p
             load_experiment("pool", ["vehicle=vectored", f"controller.law={law}"])
     steps = load_experiment("pool", ["vehicle=vectored", "controller.law=nmpc"]).wrench_step
     assert steps == pytest.approx((1.0, 1.0, 1.0, 0.75))
+
+
+@pytest.mark.parametrize("axis", range(4))
+def test_a_vehicle_may_claim_all_that_its_thrusters_give_and_no_more(axis: int) -> None:
+    vehicle = check(Vehicle, VECTORED, "mine.toml")
+    least_n = min(vehicle.thruster.max_thrust_n, -vehicle.thruster.curve[0][1])
+    most = least_n / float(np.abs(np.linalg.pinv(vehicle.mixing)[:, axis]).max())
+    for limit, fits in ((most, True), (most * 1.001, False)):
+        wrench = [limit if k == axis else value for k, value in enumerate(VECTORED["limits"]["wrench"])]
+        if fits:
+            assert check(Vehicle, changed(limits__wrench=wrench), "mine.toml").limits.wrench[axis] == limit
+        else:
+            with pytest.raises(ConfigError, match="is more than the thrusters give alone"):
+                check(Vehicle, changed(limits__wrench=wrench), "mine.toml")
+
+
+def test_thrusters_have_places_directions_and_names_by_the_output_that_they_are_on() -> None:
+    legs = SPHERICAL.legs
+    assert legs is not None
+    assert SPHERICAL.thruster_places == [[x, y, 0.0, 1.0, 0.0, 0.0] for x, y in legs.position_m]
+    assert [SPHERICAL.thruster_name(output) for output in range(4)] == ["front left", "front right", "rear left", "rear right"]
+    assert SPHERICAL.thruster_channels == (1, 2, 3, 4) and SPHERICAL.thruster_count == 4
+    fixed = [
+        {"position_m": [0.1, -0.1, 0.0], "direction": [0.0, 0.0, -2.0], "channel": 3},
+        {"position_m": [-0.1, 0.1, 0.2], "direction": [3.0, 0.0, 4.0], "channel": 1},
+        {"position_m": [0.0, -0.1, 0.0], "direction": [0.0, 1.0, 1.0], "channel": 6},
+    ]
+    vehicle = SPHERICAL.model_copy(update={"legs": None, "thrusters": tuple(map(FixedThruster.model_validate, fixed))})
+    assert (vehicle.thruster_count, vehicle.thruster_channels) == (8, (1, 3, 6))
+    places = np.array(vehicle.thruster_places)
+    assert places[[0, 2]].tolist() == [[-0.1, 0.1, 0.2, 0.6, 0.0, 0.8], [0.1, -0.1, 0.0, 0.0, 0.0, -1.0]]
+    assert not places[[1, 3, 4, 6, 7]].any()
+    names = [vehicle.thruster_name(output) for output in (0, 1, 2, 5)]
+    assert names == ["rear right, vertical", "output 2", "front left, vertical", "rear left"]

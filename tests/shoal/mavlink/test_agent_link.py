@@ -2,6 +2,8 @@
 
 import math
 import struct
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -135,7 +137,10 @@ def test_an_answer_to_arm_that_comes_late_is_not_taken_for_one_to_disarm() -> No
     agent.receive(board.heartbeat(True, True) + accepted + board.heartbeat(False, True), 0)
     assert not agent.telemetry.arm_open and not agent.telemetry.armed
 
+    agent.arm(False)
+    assert not agent.telemetry.arm_open, "a request to disarm opens nothing"
     agent.arm(True)
+    assert agent.telemetry.arm_open
     agent.receive(board.heartbeat(True, True), 0)  # it is armed: a later answer changes nothing about that
     assert not agent.telemetry.arm_open and agent.telemetry.armed
 
@@ -161,6 +166,51 @@ def test_clock_offset_over_a_symmetric_link() -> None:
     assert isinstance(event, Timesync)
     agent.receive(board.timesync(13 * MS + ahead, event.sent_ns), 16 * MS)
     assert (agent.telemetry.clock_offset_ns, agent.telemetry.round_trip_ns) == (ahead, 6 * MS)
+
+
+def _answered(agent: AgentLink, board: FarEnd, at_ms: int, ahead_ms: int, trip_ms: int) -> int:
+    """One question after the board's time, and its answer half-way. Returns how far its clock is ahead then, in ms."""
+    (event,) = board.events(agent.timesync(at_ms * MS), 0)
+    assert isinstance(event, Timesync)
+    board_ns = (2 * at_ms + trip_ms) * MS // 2 + ahead_ms * MS
+    agent.receive(board.timesync(board_ns, event.sent_ns), (at_ms + trip_ms) * MS)
+    return agent.telemetry.clock_offset_ns // MS
+
+
+def test_a_boards_clock_is_set_when_two_answers_in_a_row_say_so_and_not_by_one() -> None:
+    agent, board = AgentLink(1), FarEnd(1)
+    assert [_answered(agent, board, 100 * k, 1000, 6) for k in range(1, 4)] == [1000] * 3
+    assert _answered(agent, board, 400, 1010, 8) == 1000, "a trip of 8 ms and one of 6 explain 7, and 5 are allowed"
+    assert _answered(agent, board, 500, 2000, 6) == 1000, "one alone"
+    assert _answered(agent, board, 600, 1000, 4) == 1000
+    assert _answered(agent, board, 700, 2000, 6) == 1000, "the doubt before is over"
+    assert _answered(agent, board, 800, 3000, 6) == 1000, "two that contradict each other"
+    assert _answered(agent, board, 900, 3001, 6) == 3001, "two that agree"
+    assert _answered(agent, board, 1000, 3000, 2) == 3000, "the quickest counts"
+    assert agent.telemetry.round_trip_ns == 2 * MS
+
+
+def test_an_answer_to_another_question_or_without_a_time_is_none() -> None:
+    agent, board = AgentLink(1), FarEnd(1)
+    agent.timesync(100 * MS)
+    for board_ns, sent_ns in ((5, 99 * MS), (0, 100 * MS)):
+        agent.receive(board.timesync(board_ns, sent_ns), 110 * MS)
+    assert agent.telemetry.round_trips == 0
+    answer = board.timesync(5, 100 * MS), board.timesync(6, 100 * MS)
+    for frame in answer:
+        agent.receive(frame, 110 * MS)
+    assert agent.telemetry.round_trips == 1, "each question has one answer"
+
+
+def test_pulses_and_a_persons_calibration_are_told_apart_from_all_else() -> None:
+    agent = AgentLink(3)
+    frames = [agent.pulses(PULSES), agent.arm(True), agent.heartbeat(), agent.timesync(1), agent.calibrate(True), b"", b"\xfd"]
+    assert [agent_link.is_override(frame) for frame in frames] == [True] + [False] * 6
+    assert not agent_link.is_override(b"\xfe" + frames[0][1:])
+    for pressure, gyro in ((True, False), (False, True), (False, False)):
+        message = dialect.MAVLink(None).decode(bytearray(agent.calibrate(pressure, gyro)))
+        assert (message.command, message.param1, message.param3) == (241, float(gyro), float(pressure))
+        assert (message.param2, message.param4, message.target_system) == (0.0, 0.0, 3)
 
 
 def test_pulses_out_of_range_are_not_sent() -> None:
@@ -195,6 +245,82 @@ def test_pressure_that_cannot_be_true_is_not_taken(value: float) -> None:
     agent.receive(sender.pack(dialect.MAVLink_scaled_pressure2_message(1, value, 0, 0)), 0)
     assert agent.telemetry.depth_m == 0.0
     assert agent.telemetry.refused_frames == (0 if math.isnan(value) else 1), "NaN is not measured"
+
+
+def _attitude(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, p: float = 0.0, q: float = 0.0, r: float = 0.0) -> Any:
+    return dialect.MAVLink_attitude_message(1, roll, pitch, yaw, p, q, r)
+
+
+def _servos(pulse_us: int) -> Any:
+    return dialect.MAVLink_servo_output_raw_message(1, 0, *PULSES[:7], pulse_us)
+
+
+def _voltage(millivolts: int) -> Any:
+    return dialect.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, -1, -1, 0, 0, 0, 0, 0, 0)
+
+
+def _charge(state: int) -> Any:
+    return dialect.MAVLink_battery_status_message(0, 0, 0, 0, [0] * 10, 0, 0, 0, 0, 0, state)
+
+
+def _pressure(hpa: float) -> Any:
+    return dialect.MAVLink_scaled_pressure2_message(1, hpa, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("message_of", "low", "high", "beyond"),
+    [
+        (_servos, 500, 2500, 1),
+        (_voltage, 0, 65534, 1),
+        (_charge, 0, 7, 1),
+        (_pressure, 500.0, 20_000.0, 0.01),
+        (lambda yaw: _attitude(yaw=yaw), -6.283, 6.283, 0.001),
+        (lambda rate: _attitude(r=rate), -50.0, 50.0, 0.001),
+    ],
+)
+def test_a_measurement_at_the_edge_of_what_can_be_true_is_taken_and_none_beyond(
+    message_of: Callable[[Any], Any], low: float, high: float, beyond: float
+) -> None:
+    for value, refused in ((low, 0), (high, 0), (low - beyond, 1), (high + beyond, 1)):
+        agent, sender = AgentLink(1), Sender((1, agent_link.BOARD_COMPONENT))
+        agent.receive(sender.pack(_pressure(1030.0)), 0)
+        if 0 <= value <= 65535 or isinstance(value, float):  # others the wire cannot carry
+            agent.receive(sender.pack(message_of(value)), 0)
+            assert agent.telemetry.refused_frames == refused, value
+
+
+@pytest.mark.parametrize(
+    ("axis", "edge", "beyond"), [("roll", 3.141, 3.142), ("pitch", 1.5, 1.501), ("p", 50.0, 50.01), ("q", 50.0, 50.01)]
+)
+def test_a_tilt_at_the_edge_of_what_can_be_true_is_known_and_none_beyond(axis: str, edge: float, beyond: float) -> None:
+    for sign in (1.0, -1.0):
+        for value, size in ((edge, 4), (beyond, 0)):
+            agent, sender = AgentLink(1), Sender((1, agent_link.BOARD_COMPONENT))
+            agent.receive(sender.pack(_pressure(1030.0)) + sender.pack(_attitude(**{axis: sign * value})), 0)
+            assert agent.telemetry.tilt.size == size, value
+
+
+def test_pulses_at_the_edge_of_what_a_servo_takes_are_sent_and_none_beyond() -> None:
+    for edge in (500, 2500):
+        assert FarEnd(1).events(AgentLink(1).pulses((*PULSES[:7], edge)), 0) == [Override((*PULSES[:7], edge))]
+    for beyond in (499, 2501, IGNORED - 1):
+        with pytest.raises(ValueError, match="pulses_us"):
+            AgentLink(1).pulses((*PULSES[:7], beyond))
+
+
+def test_each_count_of_the_telemetry_begins_at_zero_and_grows_by_one() -> None:
+    agent, board = AgentLink(1), FarEnd(1)
+    counts = ("heartbeats", "battery_reports", "acknowledgements", "texts_received", "round_trips", "refused_frames")
+    assert [getattr(agent.telemetry, name) for name in counts] == [0] * len(counts)
+    for turn in (1, 2, 3):
+        (event,) = board.events(agent.timesync(turn * MS), 0)
+        assert isinstance(event, Timesync)
+        frames = (
+            board.heartbeat(False, True), board.status(12.0, 1, 1, 0), board.acknowledge((1, 191), 400, 0),
+            board.text(6, "x"), board.timesync(5, event.sent_ns), board.servo_output(1, (1, *PULSES[1:])),
+        )  # fmt: skip
+        agent.receive(b"".join(frames), turn * MS + 1)
+        assert [getattr(agent.telemetry, name) for name in counts] == [turn] * len(counts)
 
 
 @pytest.mark.parametrize("pressure_hpa", [None, math.nan, 0.0])

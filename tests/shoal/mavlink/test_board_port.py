@@ -5,6 +5,7 @@ import itertools
 import os
 import pty
 import re
+import select
 import signal
 import socket
 import termios
@@ -139,6 +140,59 @@ def test_a_frame_from_before_the_opening_is_no_word_of_a_board_that_it_reset(tmp
             os.close(device)
             plug.unlink()
     pytest.fail("each frame was read too late")
+
+
+class _Clock:
+    """A clock that a test sets, in place of the monotonic one."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 1000.0
+        monkeypatch.setattr("shoal.mavlink.board_port.time.monotonic", lambda: self.now_s)
+
+
+def test_a_serial_port_says_what_is_wrong_with_what_comes_and_goes_round_the_usual_rates(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = _Clock(monkeypatch)
+    controller, device = pty.openpty()
+    os.set_blocking(controller, False)
+    link = open_link(f"serial:{os.ttyname(device)}:57600")
+    assert isinstance(link, SerialLink)
+    rates: list[int] = []
+
+    def hear(at_s: float, data: bytes) -> str:
+        clock.now_s = 1000.0 + at_s
+        if data:
+            os.write(controller, data)
+            select.select([device], [], [], 5.0)
+            assert link.read() == data
+        rates.append(termios.tcgetattr(device)[5])
+        return link.trouble.removeprefix(f"{os.ttyname(device)}: ")
+
+    try:
+        assert hear(0.05, b"boot") == hear(1.99, b"") == ""
+        assert hear(2.0, b"").startswith("open, but not a byte has come")
+        assert hear(2.1, b"noise").startswith("what comes is no MAVLink 2, and nothing is sent")
+        assert hear(2.6, b"").startswith("what comes") and hear(2.61, b"").startswith("silent, and nothing is sent")
+        link.send(b"pulses")
+        with pytest.raises(BlockingIOError):
+            os.read(controller, 100)
+        rates.clear()
+        for turn in range(10):
+            trouble = hear(3.0 + 0.31 * turn, b"noise")
+            assert ("at any of 57600, 250000, 115200" in trouble) is (turn >= 8), turn
+        ways = [57_600, 250_000, 115_200, 230_400, 460_800, 500_000, 921_600, 1_000_000]
+        speeds = [getattr(termios, f"B{rate}", None) for rate in ways]
+        assert [rate for rate, way in zip(rates, speeds, strict=False) if way is not None] == [
+            w for w in speeds if w is not None
+        ]
+        assert rates[8:10] == [speeds[0], rates[1]], "and round again"
+        assert hear(6.0, FRAME) == "" == hear(6.5, b"")
+        assert hear(6.51, b"").startswith("silent")
+    finally:
+        link.close()
+        os.close(controller)
+        os.close(device)
 
 
 def test_only_an_open_serial_port_asks_for_patience_with_a_boards_first_word(tmp_path: Path) -> None:

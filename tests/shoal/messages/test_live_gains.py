@@ -113,11 +113,18 @@ def test_no_message_gets_further_than_a_refusal(message: Tuning) -> None:
         of_message(POOL.controller, message)
 
 
-def test_a_feedback_law_has_no_gains_of_the_mpc() -> None:
-    pid = load_experiment("pool", ["controller.law=pid"]).controller
-    keys = {parameter.key for parameter in tunable_parameters(pid)}
-    assert "controller.estimator.bandwidth_radps" in keys
-    assert not keys & {"controller.mpc.q.0", "controller.nmpc.arm_m"}
+@pytest.mark.parametrize(
+    ("law", "has", "has_not"),
+    [
+        ("nmpc", {"nmpc.arm_m", "mpc.q_formation.0"}, {"mpc.q.0", "mpc.r.0", "estimator.yaw_bandwidth_radps"}),
+        ("eso-mpc-article", {"mpc.q.0", "mpc.r.2", "mpc.q_formation.0", "estimator.yaw_bandwidth_radps"}, {"nmpc.arm_m"}),
+        ("pid", {"estimator.bandwidth_radps"}, {"mpc.q.0", "mpc.q_formation.0", "nmpc.arm_m"}),
+    ],
+)
+def test_a_law_has_the_gains_that_it_acts_by(law: str, has: set[str], has_not: set[str]) -> None:
+    controller = load_experiment("pool", [f"controller.law={law}"]).controller
+    keys = {parameter.key.removeprefix("controller.") for parameter in tunable_parameters(controller)}
+    assert has <= keys and not keys & has_not
 
 
 def test_settings_of_lists_go_by_entries() -> None:
@@ -137,3 +144,7 @@ def test_settings_of_lists_go_by_entries() -> None:
 def test_a_list_is_given_as_a_whole(value: str) -> None:
     with pytest.raises(ConfigError, match=r"must be 4 numbers, or one of them by its place: controller\.mpc\.q_formation\.0"):
         values_of([f"controller.mpc.q_formation={value}"])
+
+
+def test_a_key_of_another_section_is_no_list_of_the_controller() -> None:
+    assert values_of(["controller.mpc.nothing=[1, 2]"]) == {"controller.mpc.nothing.0": 1.0, "controller.mpc.nothing.1": 2.0}

@@ -47,6 +47,12 @@ def test_enums_have_the_values_of_the_dataclasses() -> None:
     assert set(enums) == {"Track", "Mode", "Guidance", "Solve", "CommandKind", "Progress", "CameraHealth"}
 
 
+def test_a_part_that_has_to_be_there_is_asked_for() -> None:
+    assert messages.required("") == "" and messages.required(0) == 0
+    with pytest.raises(ValueError, match="the message has no such part"):
+        messages.required(None)
+
+
 @dataclass(frozen=True)
 class _Numberless:
     depth_m: float = 0.0
