@@ -85,6 +85,34 @@ def test_a_reset_under_water_stops_the_thrust_keeps_the_zeros_and_is_reported(me
     assert telemetry.zero_in_question  # no pressure near that of the surface has come
 
 
+RESETS = ("pin", "brown-out", "watchdog", "power")
+FEW, MANY = 6, 200
+
+
+@pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.slow)])
+def test_thrust_that_nobody_asked_for_ends_in_time_at_a_reset_at_any_instant(mega: Mega, count: int) -> None:
+    """Also where the computer goes on asking for thrust: a board that has restarted is disarmed."""
+    pilot, draw, longest_us = settle(mega), random.Random(5), 0.0
+    for at in range(count):
+        pilot.arm()
+        pilot.run(draw.uniform(0.1, 0.2), *[draw.choice([1440, 1560])] * 4)
+        mega.pulses()
+        begun_us, cause = mega.now_us, RESETS[at % len(RESETS)]
+        restart(mega, cause)
+        pilot.run(0.16, *[1560] * 4)
+        mega.hang(False)
+        pilot.run(0.5, *[1560] * 4)
+        turning = [pulse for pulses in mega.pulses()[:4] for pulse in pulses if abs(pulse.width_us - NEUTRAL_US) > 1.0]
+        ends_us = max((pulse.begin_us + pulse.width_us - begun_us for pulse in turning), default=0.0)
+        assert ends_us < THRUST_S * 1e6, (at, cause)
+        longest_us = max(longest_us, ends_us)
+        telemetry = after(mega)
+        assert telemetry.restarted and not telemetry.armed, (at, cause)
+        pilot = Pilot(mega)
+        pilot.now_ns = round(mega.now_us * 1000.0)
+    print(f"{count} resets while thrusters turn: thrust ends after {longest_us / 1000.0:.0f} ms at most")
+
+
 def test_a_power_on_in_air_takes_the_zeros_anew(mega: Mega) -> None:
     settle(mega)
     mega.measure(0.0, 2 * BIAS_RADPS, air_hpa=-8.0)
