@@ -8,7 +8,7 @@ import pytest
 from shoal.mavlink.agent_link import CALIBRATE, REJECTED, AgentLink, Telemetry
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
-from tests.firmware.mega import Mega, Reset
+from tests.firmware.mega import CYCLES_PER_US, Mega, Reset
 from tests.firmware.pilot import STEP_NS, Pilot
 
 pytestmark = pytest.mark.long
@@ -17,6 +17,8 @@ NEUTRAL_US, THRUST_S = 1500.0, 0.3  # of thrust that nobody asked for, at the mo
 DEPTH_M, BIAS_RADPS = 1.0, 0.05
 FIRST_WORD_S = 1.5  # of a board with the stock bootloader, if nothing is sent to it
 KEY, NEW_KEY = Key(bytes(range(1, 33))), Key(bytes(range(33, 65)))
+AT_REST = 0.6  # of the processor's time, at the most
+WRITTEN, BYTE_S = 60, 0.0034  # bytes of a record of settings, each of which takes so long
 OLD, NEW = 4000.0, 4321.0  # of the parameter that is set
 CUTS, MANY_CUTS, LONGEST_S = 6, 1000, 1.2  # power cuts, and when after an order: a record of settings takes 0.9 s
 BROWN_OUTS = 0.3  # of the cuts: the RAM and a byte that is being written outlive them
@@ -205,6 +207,18 @@ def test_the_stock_bootloader_starts_the_firmware_only_while_nothing_is_sent(meg
     sending.now_ns = round(mega.now_us * 1000.0)
     sending.run(3.0, *[1500] * 4)
     assert mega.is_in_bootloader and not sending.link.telemetry.heartbeats
+
+
+def test_bytes_of_a_record_follow_one_another_as_fast_as_the_memory_takes_them(mega: Mega) -> None:
+    """Not with each step: an order waits for them. A board that writes nothing sleeps."""
+    pilot = settle(mega)
+    mega.loop_cycles()
+    pilot.run(0.5)
+    assert mega.loop_cycles()[1] < AT_REST * 0.5e6 * CYCLES_PER_US
+    before = mega.eeprom_counts()[0]
+    pilot.send(ParameterClient(1).set("SLEW_US_S", NEW))
+    pilot.run(WRITTEN * BYTE_S * 1.2)
+    assert mega.eeprom_counts()[0] - before >= WRITTEN
 
 
 class CutBoard:
