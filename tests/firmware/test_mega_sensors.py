@@ -243,6 +243,18 @@ def test_a_supply_that_fails_for_a_moment_is_seen_and_nothing_untrue_is_sent(meg
 
 
 @SLOW
+def test_no_part_of_a_sample_of_the_imu_is_from_after_a_failure_of_its_supply(mega: Mega) -> None:
+    """At 400 instants of the 20 ms between two samples, the reading of one among them."""
+    pilot = under_way(mega)
+    for instant_us in range(0, 20_000, 50):
+        pilot.run(0.25)
+        pilot.step(5_000_000 + instant_us * 1000)
+        mega.power_chip(IMU)
+        pilot.run(0.3)
+        assert pilot.untrue == [], instant_us
+
+
+@SLOW
 @pytest.mark.parametrize("register", [0x6B, 0x1B, 0x1C], ids=["power", "gyro's range", "accelerometer's range"])
 def test_a_setting_of_the_imu_that_changes_by_itself_is_written_again(mega: Mega, register: int) -> None:
     pilot = under_way(mega)
