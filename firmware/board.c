@@ -22,14 +22,14 @@ static uint16_t status(const struct board *board) {
 void board_begin(struct board *board, uint8_t robot, const struct settings *settings, struct stamps stamps,
                  const struct start *start) {
     memset(board, 0, sizeof *board);
-    struct parameters parameters;
-    parameters_standard(&parameters);
+    struct parameters *parameters = &board->rules.parameters; /* in its place: the stack is deepest here */
+    parameters_standard(parameters);
     if (settings != NULL)
-        parameters_restore(&parameters, &settings->parameters);
+        parameters_restore(parameters, &settings->parameters);
     const struct peer me = {robot, BOARD_COMPONENT}, computer = {robot, COMPUTER_COMPONENT};
     const uint8_t *key = settings != NULL && settings->has_key ? settings->key : NULL;
     const bool is_locked = settings != NULL && settings->is_lost;
-    rules_begin(&board->rules, &parameters, computer);
+    rules_begin(&board->rules, computer);
     link_begin(&board->link, me, key, stamps.heard, stamps.sent + SENT_BETWEEN);
     board->link.gate.is_locked = is_locked;
     if (is_locked)

@@ -99,9 +99,8 @@ static bool are_valid(const struct parameters *parameters) {
 }
 
 void parameters_restore(struct parameters *parameters, const struct parameters *kept) {
-    const struct parameters standard = *parameters;
     *parameters = *kept;
     parameters->value[HIL_MODE] = parameters->value[HIL_OUTPUTS] = 0.0f;
     if (!are_valid(parameters))
-        *parameters = standard;
+        parameters_standard(parameters);
 }

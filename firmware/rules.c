@@ -22,8 +22,7 @@ static void set_pins(struct rules *rules) {
     }
 }
 
-void rules_begin(struct rules *rules, const struct parameters *parameters, struct peer computer) {
-    rules->parameters = *parameters;
+void rules_begin(struct rules *rules, struct peer computer) {
     rules->computer = computer;
     set_pins(rules);
     for (uint8_t i = 0; i < CHANNELS; i++)

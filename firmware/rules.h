@@ -42,8 +42,8 @@ struct rules {
     struct text text[TEXTS]; /* to send; the sender sets `texts` to 0 */
 };
 
-/* Power-on, with parameters that are valid. */
-void rules_begin(struct rules *rules, const struct parameters *parameters, struct peer computer);
+/* Power-on, with its parameters, which are valid. */
+void rules_begin(struct rules *rules, struct peer computer);
 
 /* What arrives. */
 /* False if it was refused. */

@@ -18,10 +18,10 @@ PACKAGES = {  # Debian package, by a word of the reason
     "systemd-analyze": "systemd",
     "nft": "nftables",
     "node": "npm",
-    "gcc": "gcc",
-    "cc": "gcc",
-    "avr-gcc": "gcc-avr avr-libc",
-    "simavr": "libsimavr-dev",
+    "gcc": "gcc libc6-dev",
+    "avr-gcc": "gcc-avr avr-libc libsimavr-dev libelf-dev arduino-core-avr",  # all that the simulated Arduino's tests need
+    "simavr": "libsimavr-dev libelf-dev",
+    "arduino-core-avr": "arduino-core-avr",
 }
 
 
@@ -43,12 +43,12 @@ def summary(reasons: Iterable[str]) -> Iterator[str]:
     yield from (f"  {count:3} {reason}" for reason, count in sorted(counts.items()))
     missing = {package: None for reason in sorted(counts) for package in _packages(reason)}
     if missing:
-        yield f"What they lack comes with: sudo apt install {' '.join(missing)}"
+        yield f"What they lack comes with: sudo apt install --no-install-recommends {' '.join(missing)}"
 
 
 def _packages(reason: str) -> list[str]:
     words = [word.strip(",.;:()").lower() for word in reason.split()]
-    return [PACKAGES[word] for word in words if word in PACKAGES][:1]
+    return next((PACKAGES[word].split() for word in words if word in PACKAGES), [])
 
 
 def main(folder: str) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests import skipped
+from tests.firmware.mega import simavr_library
 
 ROOT = Path(__file__).parents[1]
 TESTS = """
@@ -61,8 +62,34 @@ def test_processes_leave_their_reasons_and_the_end_tells_them_once_with_one_comm
         "    6 needs Chromium, and none is installed",
         "    2 needs root to be allowed everything",
         "    2 no sshd here (Debian: apt install openssh-server)",
-        "What they lack comes with: sudo apt install chromium openssh-server",
+        "What they lack comes with: sudo apt install --no-install-recommends chromium openssh-server",
     ]
+
+
+@pytest.mark.parametrize(
+    ("programs", "packages"),
+    [
+        (("make",), "gcc-avr avr-libc libsimavr-dev libelf-dev arduino-core-avr"),
+        (("make", "avr-gcc"), "gcc libc6-dev"),
+        (("make", "avr-gcc", "gcc"), "libsimavr-dev libelf-dev"),
+    ],
+)
+def test_a_machine_without_the_simulated_arduinos_tools_is_told_all_of_their_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, programs: tuple[str, ...], packages: str
+) -> None:
+    for program in programs:  # a `make` to which all is up to date, and compilers that know no header
+        (tmp_path / program).write_text(f"#!/bin/sh\nexit {int(program == 'gcc')}\n")
+        (tmp_path / program).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(pytest.skip.Exception) as reason:
+        simavr_library()
+    assert list(skipped.summary([str(reason.value)]))[-1].endswith(f"--no-install-recommends {packages}")
+
+
+def test_the_whole_check_installs_all_that_tests_may_lack() -> None:
+    script = (ROOT / ".ci" / "run").read_text()
+    packages = {package for packages in skipped.PACKAGES.values() for package in packages.split()}
+    assert {package for package in packages if package not in script} == {"npm"}  # of a slow test
 
 
 def test_nothing_skipped_is_nothing_told() -> None:

@@ -77,12 +77,13 @@ static bool imu_begin(void) {
     return false; /* it measures from the next sample on */
 }
 
-/* Look once a second, or at zeros, which a chip without its settings shows: it sleeps after a loss of its supply. */
+/* Look whether the chip is awake after each sample, in which its supply may have failed: it sleeps then. Look at all settings once a
+second, or at zeros, which a chip without them shows. */
 static bool imu_has_settings(bool zeros) {
-    if (!zeros && --until_look > 0)
-        return true;
-    until_look = LOOK_SAMPLES;
-    for (uint8_t i = 0; i < MPU_SETTINGS; i++) {
+    const bool looks_at_all = zeros || --until_look == 0;
+    if (looks_at_all)
+        until_look = LOOK_SAMPLES;
+    for (uint8_t i = 0; i < (looks_at_all ? MPU_SETTINGS : 1); i++) {
         uint8_t set;
         if (!twi_read(MPU, SETTINGS[i][0], &set, 1))
             return lose(&imu, CHIP_ABSENT, 1);

@@ -1,6 +1,13 @@
 """Changes of the C code that no test can notice, each with the reason. tests/firmware/mutants.py leaves them out of its list.
 
 A change is a file, a line as it stands, the line as it becomes, without the blanks around either, and the reason.
+
+Of the rules in Python `mutmut` leaves seven changes that no test can notice, either:
+
+* state_machine.py, the first value of `_command`: nothing reads it before an override.
+* state_machine.py, `* BATTERY_FILTER_S` for `/`: it is 1 s; `self.charge >= was`: they differ there.
+* parameters.py, `strict` of `zip` in `_curve_points`, three changes: there are as many thrusts as pulses.
+* parameters.py, the upper end of no dead zone: nothing lies above its lower end, which is infinite.
 """
 
 EQUIVALENTS = [

@@ -16,7 +16,7 @@ from subprocess import Popen
 from shoal.runtime.runtime import Stop
 from sim_bridge.node.bench import BoardSocket, open_socket
 from tests.firmware.library import built
-from tests.firmware.mega import Mega
+from tests.firmware.mega import Mega, simavr_library
 from tests.sim_bridge.boards import plugged
 
 STEP_S = 0.002
@@ -50,6 +50,7 @@ def run(mega: Mega, socket: BoardSocket, stop: Stop) -> None:
 @contextmanager
 def plugged_mega(port: str, folder: Path, robot: int = 1) -> Iterator["Popen[str]"]:
     """An Arduino of a robot that is plugged in when this begins. A board in simavr keeps nothing in `folder`."""
+    simavr_library()  # else the process had to skip the test
     build = f"build/robot-{robot}"
     elf = built(f"{build}/board.elf", f"BUILD={build}", f"ROBOT={robot}", compiler="avr-gcc")
     with plugged(["tests.firmware.plugged_mega", str(elf), port], "runs at ") as process:

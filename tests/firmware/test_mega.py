@@ -18,6 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.long]
 NEUTRAL_US, AGE_US, STEP_US, PERIOD_US = 1500.0, 250_000.0, 5000.0, 20_000.0
 PHASES, BYTE_US, STOPS_US = 200, 40.0, 260_000.0  # a byte at 250,000 baud
 KEY, OTHER = Key(bytes(range(1, 33))), Key(bytes(range(2, 34)))
+WAITING = 9  # frames in the ring and the inbox, before an override
 FLOOD_PHASES, BATTERY_S, LOOKS_US, EMPTY = 12, 1.2, 28_000.0, 4  # looks: each 20 ms, known to a step and a loop
 FIRST_KEPT_S = 2.5  # a board's first settings are written twice, 256 bytes of 3.4 ms each
 RAM_BYTES, STATIC_AND_STACK, WORST_LOOP = 8192, 0.6, 0.5
@@ -249,6 +250,24 @@ def test_pins_are_neutral_after_silence_behind_a_flood_at_line_rate(request: pyt
         f"last override to the end of the last pulse, flooded, {FLOOD_PHASES}: {min(stops_us):.0f} to {max(stops_us):.0f} us"
     )
     assert max(stops_us) <= STOPS_US
+
+
+def test_an_override_behind_frames_that_are_being_verified_counts_from_its_arrival(signed: Mega) -> None:
+    """Each of these takes the processor 3 ms, and the line 2 ms."""
+    pilot, client, stops_us = Pilot(signed, KEY), ParameterClient(1, KEY, lambda: 100_000), []
+    pilot.run(0.6)
+    for phase in range(FLOOD_PHASES):
+        pilot.arm()
+        pilot.run(0.1 + delay(phase * PHASES // FLOOD_PHASES)[0], *[1560] * 4)
+        signed.pulses()
+        pilot.send(data := b"".join(client.ask("SLEW_US_S") for _ in range(WAITING)) + pilot.link.pulses([1560] * 8))
+        last_us = signed.now_us + len(data) * BYTE_US
+        pilot.run(0.6)
+        turning = [pulse for pulses in signed.pulses()[:4] for pulse in pulses if abs(pulse.width_us - NEUTRAL_US) > 1.0]
+        stops_us.append(max(pulse.begin_us + pulse.width_us for pulse in turning) - last_us)
+        assert min(stops_us) > AGE_US - 2 * PERIOD_US, "it was taken"
+    print(f"override behind {WAITING} frames to the end of the last pulse: {min(stops_us):.0f} to {max(stops_us):.0f} us")
+    assert max(stops_us) <= AGE_US + 2 * STEP_US + 1560.0  # known to a step, looked at in each, and a pulse that has begun
 
 
 @pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])

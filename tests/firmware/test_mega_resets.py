@@ -8,7 +8,7 @@ import pytest
 from shoal.mavlink.agent_link import CALIBRATE, REJECTED, AgentLink, Telemetry
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
-from tests.firmware.mega import Mega, Reset
+from tests.firmware.mega import CYCLES_PER_US, Mega, Reset
 from tests.firmware.pilot import STEP_NS, Pilot
 
 pytestmark = pytest.mark.long
@@ -17,6 +17,8 @@ NEUTRAL_US, THRUST_S = 1500.0, 0.3  # of thrust that nobody asked for, at the mo
 DEPTH_M, BIAS_RADPS = 1.0, 0.05
 FIRST_WORD_S = 1.5  # of a board with the stock bootloader, if nothing is sent to it
 KEY, NEW_KEY = Key(bytes(range(1, 33))), Key(bytes(range(33, 65)))
+AT_REST = 0.6  # of the processor's time, at the most
+WRITTEN, BYTE_S = 60, 0.0034  # bytes of a record of settings, each of which takes so long
 OLD, NEW = 4000.0, 4321.0  # of the parameter that is set
 CUTS, MANY_CUTS, LONGEST_S = 6, 1000, 1.2  # power cuts, and when after an order: a record of settings takes 0.9 s
 BROWN_OUTS = 0.3  # of the cuts: the RAM and a byte that is being written outlive them
@@ -83,6 +85,34 @@ def test_a_reset_under_water_stops_the_thrust_keeps_the_zeros_and_is_reported(me
     assert not telemetry.armed and cause_text in telemetry.reset_causes and telemetry.restarted
     assert abs(telemetry.depth_m - DEPTH_M) < 0.02 and abs(telemetry.yaw_rate_radps) < 0.01
     assert telemetry.zero_in_question  # no pressure near that of the surface has come
+
+
+RESETS = ("pin", "brown-out", "watchdog", "power")
+FEW, MANY = 6, 200
+
+
+@pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.slow)])
+def test_thrust_that_nobody_asked_for_ends_in_time_at_a_reset_at_any_instant(mega: Mega, count: int) -> None:
+    """Also where the computer goes on asking for thrust: a board that has restarted is disarmed."""
+    pilot, draw, longest_us = settle(mega), random.Random(5), 0.0
+    for at in range(count):
+        pilot.arm()
+        pilot.run(draw.uniform(0.1, 0.2), *[draw.choice([1440, 1560])] * 4)
+        mega.pulses()
+        begun_us, cause = mega.now_us, RESETS[at % len(RESETS)]
+        restart(mega, cause)
+        pilot.run(0.16, *[1560] * 4)
+        mega.hang(False)
+        pilot.run(0.5, *[1560] * 4)
+        turning = [pulse for pulses in mega.pulses()[:4] for pulse in pulses if abs(pulse.width_us - NEUTRAL_US) > 1.0]
+        ends_us = max((pulse.begin_us + pulse.width_us - begun_us for pulse in turning), default=0.0)
+        assert ends_us < THRUST_S * 1e6, (at, cause)
+        longest_us = max(longest_us, ends_us)
+        telemetry = after(mega)
+        assert telemetry.restarted and not telemetry.armed, (at, cause)
+        pilot = Pilot(mega)
+        pilot.now_ns = round(mega.now_us * 1000.0)
+    print(f"{count} resets while thrusters turn: thrust ends after {longest_us / 1000.0:.0f} ms at most")
 
 
 def test_a_power_on_in_air_takes_the_zeros_anew(mega: Mega) -> None:
@@ -177,6 +207,18 @@ def test_the_stock_bootloader_starts_the_firmware_only_while_nothing_is_sent(meg
     sending.now_ns = round(mega.now_us * 1000.0)
     sending.run(3.0, *[1500] * 4)
     assert mega.is_in_bootloader and not sending.link.telemetry.heartbeats
+
+
+def test_bytes_of_a_record_follow_one_another_as_fast_as_the_memory_takes_them(mega: Mega) -> None:
+    """Not with each step: an order waits for them. A board that writes nothing sleeps."""
+    pilot = settle(mega)
+    mega.loop_cycles()
+    pilot.run(0.5)
+    assert mega.loop_cycles()[1] < AT_REST * 0.5e6 * CYCLES_PER_US
+    before = mega.eeprom_counts()[0]
+    pilot.send(ParameterClient(1).set("SLEW_US_S", NEW))
+    pilot.run(WRITTEN * BYTE_S * 1.2)
+    assert mega.eeprom_counts()[0] - before >= WRITTEN
 
 
 class CutBoard:

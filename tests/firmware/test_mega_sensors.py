@@ -19,6 +19,7 @@ SLOW = pytest.mark.slow
 
 STEP_US, STOPS_US, NEUTRAL_US = 5000.0, 260_000.0, 1500.0
 BROKEN_S, RETRY_S = 1.0, 1.3  # a sensor that is not live is looked at once a second
+BURSTS_HZ = 50
 DEPTH_M, RATE_RADPS, FORCE_MG = 1.0, 0.5, 5.0
 STUCK_S = 0.55  # 25 samples of the same value, and the way of a burst
 
@@ -92,6 +93,7 @@ class Listener(Pilot):
         super().__init__(mega)
         self.now_ns = round(mega.now_us * 1000.0)
         self.heard_s = {IMU: -math.inf, PRESSURE: -math.inf}
+        self.unmeasured = {IMU: 0, PRESSURE: 0}  # bursts that say so: by NaN
         self.untrue: list[dialect.MAVLink_message] = []
         self._parser = dialect.MAVLink(None)
         self._parser.robust_parsing = True  # a reset cuts off a frame
@@ -111,6 +113,8 @@ class Listener(Pilot):
                 self.note(IMU, level and abs(message.zgyro * 1e-3 - RATE_RADPS) < 0.02, message)
             elif kind == "ATTITUDE" and not math.isnan(message.yaw + message.yawspeed):
                 self.note(IMU, abs(message.yawspeed - RATE_RADPS) < 0.02, message)
+            elif kind in ("ATTITUDE", "SCALED_PRESSURE2"):
+                self.unmeasured[IMU if kind == "ATTITUDE" else PRESSURE] += 1
 
     def note(self, chip: int, is_true: bool, message: dialect.MAVLink_message) -> None:
         self.heard_s[chip] = self.now_s
@@ -148,6 +152,7 @@ def test_a_sensor_in_trouble_is_silent_and_named_while_the_rules_hold_and_measur
     trouble = TROUBLES[name]
     pilot, other = under_way(mega), PRESSURE if trouble.chip == IMU else IMU
     begun_s = pilot.now_s
+    pilot.unmeasured = {IMU: 0, PRESSURE: 0}
     trouble.begin(mega)
     mega.loop_cycles()
     pilot.run(BROKEN_S, *[1560] * 4)
@@ -155,6 +160,7 @@ def test_a_sensor_in_trouble_is_silent_and_named_while_the_rules_hold_and_measur
     assert f"{CHIP_NAMES[trouble.chip]}: {trouble.text}" in texts
     assert len(texts) < 8  # a state that lasts is not said again and again
     assert pilot.heard_s[trouble.chip] - begun_s < trouble.noticed_s
+    assert pilot.unmeasured[trouble.chip] >= BURSTS_HZ * (BROKEN_S - trouble.noticed_s) - 2 and pilot.unmeasured[other] == 0
     assert pilot.link.telemetry.armed and pilot.link.telemetry.echo_us[:4] == (1560,) * 4  # the board needs no sensor
     assert not any(CHIP_NAMES[other] in text for text in texts) and pilot.now_s - pilot.heard_s[other] < 0.1
     require_bounds(pilot, mega)
@@ -163,6 +169,30 @@ def test_a_sensor_in_trouble_is_silent_and_named_while_the_rules_hold_and_measur
     assert pilot.now_s - min(pilot.heard_s.values()) < 0.1
     assert f"{CHIP_NAMES[trouble.chip]}: live" in [text for _, text in pilot.link.telemetry.texts]
     assert pilot.untrue == []
+
+
+@pytest.mark.parametrize("depth_m", [-9.0, 400.0])
+def test_a_pressure_that_the_sensor_cannot_measure_is_nan(mega: Mega, depth_m: float) -> None:
+    """Less than its 300 hPa, more than its 30 bar."""
+    pilot = under_way(mega)
+    mega.measure(depth_m, RATE_RADPS)
+    pilot.run(0.1)
+    pilot.unmeasured = {IMU: 0, PRESSURE: 0}
+    pilot.run(BROKEN_S)
+    assert pilot.unmeasured[PRESSURE] >= BURSTS_HZ * BROKEN_S - 2 and pilot.unmeasured[IMU] == 0 and pilot.untrue == []
+    mega.measure(DEPTH_M, RATE_RADPS)
+    pilot.run(RETRY_S)
+    assert pilot.now_s - pilot.heard_s[PRESSURE] < 0.1 and pilot.untrue == []
+
+
+def test_a_read_that_fails_once_is_made_again_at_once(mega: Mega) -> None:
+    pilot = under_way(mega)
+    texts, pilot.unmeasured = len(pilot.link.telemetry.texts), {IMU: 0, PRESSURE: 0}
+    for _ in range(10):
+        mega.hold_bus(after_bytes=3, clocks=5)
+        pilot.run(0.05, *[1560] * 4)
+    assert pilot.unmeasured == {IMU: 0, PRESSURE: 0} and pilot.untrue == []
+    assert len(pilot.link.telemetry.texts) == texts
 
 
 HELD = {"a moment": (5, ()), "until a reset": (5, (Reset.WATCHDOG,)), "beyond nine clocks": (40, ())}
@@ -210,6 +240,18 @@ def test_a_supply_that_fails_for_a_moment_is_seen_and_nothing_untrue_is_sent(meg
         pilot.run(0.3, *[1560] * 4)
         assert pilot.now_s - pilot.heard_s[chip] < 0.1 and pilot.untrue == [], phase
     assert f"{CHIP_NAMES[chip]}: live" in [text for _, text in pilot.link.telemetry.texts]
+
+
+@SLOW
+def test_no_part_of_a_sample_of_the_imu_is_from_after_a_failure_of_its_supply(mega: Mega) -> None:
+    """At 400 instants of the 20 ms between two samples, the reading of one among them."""
+    pilot = under_way(mega)
+    for instant_us in range(0, 20_000, 50):
+        pilot.run(0.25)
+        pilot.step(5_000_000 + instant_us * 1000)
+        mega.power_chip(IMU)
+        pilot.run(0.3)
+        assert pilot.untrue == [], instant_us
 
 
 @SLOW

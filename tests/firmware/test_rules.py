@@ -3,7 +3,9 @@
 import ctypes
 import math
 import random
+from collections.abc import Iterable
 
+import numpy as np
 import pytest
 
 from shoal.mavlink.agent_link import IGNORED
@@ -223,6 +225,49 @@ def test_a_curve_that_pushes_a_little_both_ways_is_taken(library: ctypes.CDLL) -
         value = min(max(PARAMETERS[name], -0.25), 0.25)
         board.change(PARAMETERS.index[name], value)
     assert board.value(points[0]) == -0.25 and board.value(points[-1]) == 0.25
+
+
+def thrust_n(curve: Iterable[tuple[float, float]], pulse_us: int) -> float:
+    """The thrust of a pulse by a curve."""
+    pulses_us, thrusts_n = zip(*curve, strict=True)
+    return float(np.interp(pulse_us, pulses_us, thrusts_n))
+
+
+def neutral_parameter(draw: random.Random) -> tuple[str, float]:
+    """A parameter that has a part in what is neutral, and a value that moves the dead zone or leaves it."""
+    middle = len(PARAMETERS.curve) // 2
+    point = draw.randint(middle - 2, middle + 3)  # of the curve, from 1 on
+    name = draw.choice([f"CRV{point:02}_N", f"CRV{point:02}_N", f"CRV{point:02}_US", "THR_NEUTRAL_US", "THR1_TRIM_US"])
+    value = PARAMETERS[name] + draw.randint(-60, 60)
+    return name, ctypes.c_float(draw.choice([0.0, -0.1, 0.1]) if name.endswith("_N") else value).value
+
+
+def test_no_combination_of_parameters_has_a_disarmed_board_push_or_an_armed_one_leave_its_limits(library: ctypes.CDLL) -> None:
+    draw, taken, armed = random.Random(7), 0, 0
+    for sequence in range(300):
+        machine, board, now_ns = BoardStateMachine(PARAMETERS, COMPUTER), FirmwareBoard(library), 10**9
+        for _ in range(40):
+            name, value = draw.choice([neutral_parameter, neutral_parameter, parameter])(draw)
+            changed = board.change(PARAMETERS.index.get(name, -1), value) == 0
+            assert changed is (machine.change(name, value) is None), (sequence, name, value)
+            taken += changed
+        board.step_rules(now_ns)
+        curve = [(board.value(f"CRV{i:02}_US"), board.value(f"CRV{i:02}_N")) for i in range(1, len(PARAMETERS.curve) + 1)]
+        for pulse_us in board.pulses[:4]:
+            assert thrust_n(curve, pulse_us) == thrust_n(PARAMETERS.curve, pulse_us) == 0.0, (sequence, pulse_us)
+        neutral_us = round(board.value("THR_NEUTRAL_US"))
+        board.override(COMPUTER, (neutral_us,) * 4 + (IGNORED,) * 4, now_ns)
+        armed += board.arm(True, now_ns) == 0
+        for end in ("MIN", "MAX"):
+            thruster_us, ankle_us = (round(board.value(f"{kind}_{end}_US")) for kind in ("THR", "ANK"))
+            board.override(COMPUTER, (thruster_us,) * 4 + (ankle_us,) * 4, now_ns)
+            for _ in range(4):
+                now_ns += 20_000_000
+                board.step_rules(now_ns)
+                for kind, pulses_us in (("THR", board.pulses[:4]), ("ANK", board.pulses[4:])):
+                    low_us, high_us = (board.value(f"{kind}_{end}_US") for end in ("MIN", "MAX"))
+                    assert all(low_us <= pulse_us <= high_us for pulse_us in pulses_us), sequence
+    assert taken > 1000 and armed > 50
 
 
 @pytest.mark.slow

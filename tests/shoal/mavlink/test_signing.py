@@ -235,6 +235,9 @@ def test_a_stream_unused_for_a_minute_gives_its_place_away() -> None:
     for component in range(2, 17):
         assert verifier.verify(Signer(KEY, lambda: NOW + 100).sign(frame), 1, component) is SignatureVerdict.GOOD
     assert verifier.verify(Signer(KEY, lambda: NOW + 100).sign(frame), 1, 17) is SignatureVerdict.REPLAYED  # all in use
+    just = Signer(KEY, lambda: NOW + 6_000_000).sign(frame)
+    assert verifier.verify(just, 1, 3) is SignatureVerdict.GOOD
+    assert verifier.verify(just, 1, 17) is SignatureVerdict.REPLAYED  # the first is unused for a minute, and not for more
     later = NOW + 6_000_001
     assert verifier.verify(Signer(KEY, lambda: later).sign(frame), 1, 2) is SignatureVerdict.GOOD
     assert verifier.verify(Signer(KEY, lambda: later).sign(frame), 1, 17) is SignatureVerdict.GOOD

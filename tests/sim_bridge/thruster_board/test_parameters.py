@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given, settings
@@ -124,11 +125,34 @@ def test_consistent_value_is_accepted(name: str, value: float) -> None:
     assert changed(name, value)[name] == single(value)
 
 
-def test_a_curve_that_is_nowhere_zero_has_no_dead_zone() -> None:
+def with_thrusts(thrusts_n: Sequence[float]) -> Parameters:
+    """Parameters with the thrusts of another curve, whether they fit or not."""
+    forces = iter(thrusts_n)
     values = tuple(
-        1.0 if row.name.endswith("_N") and value == 0 else value for row, value in zip(POOL.table, POOL.values, strict=True)
+        next(forces) if row.name.startswith("CRV") and row.name.endswith("_N") else value
+        for row, value in zip(POOL.table, POOL.values, strict=True)
     )
-    assert not Parameters(POOL.table, values, POOL.built).is_consistent()
+    return Parameters(POOL.table, values, POOL.built)
+
+
+@pytest.mark.parametrize(
+    ("thrusts_n", "ok"),
+    [
+        ((-1.0, *[0.0] * 10, 0.5), True),
+        ((0.0, *[0.0] * 10, 0.5), False),  # it does not push back,
+        ((-1.0, *[0.0] * 10, 0.0), False),  # or not ahead
+        ((*[-0.5] * 6, *[0.5] * 6), False),  # it is nowhere zero
+    ],
+)
+def test_a_curve_pushes_both_ways_and_has_a_dead_zone(thrusts_n: tuple[float, ...], ok: bool) -> None:
+    assert with_thrusts(thrusts_n).is_consistent() is ok
+
+
+def test_neutral_with_a_trim_stays_in_the_dead_zone() -> None:
+    beside = changed("THR_NEUTRAL_US", 1510)
+    assert beside.changed("THR1_TRIM_US", 14) is beside.changed("THR1_TRIM_US", -34) is Refusal.INCONSISTENT
+    assert isinstance(beside.changed("THR1_TRIM_US", 13), Parameters)
+    assert isinstance(beside.changed("THR1_TRIM_US", -33), Parameters)
 
 
 def test_unknown_parameter_name_is_refused() -> None:
