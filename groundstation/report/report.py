@@ -197,7 +197,7 @@ def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
     names = {"scene", "seed", "mode", "experiment_hash", "hash", "version", "commit"}
     return [
         ("seed", str(result.seed)),
-        ("mode", result.mode),
+        ("mode", result.mode_text),
         ("evaluated", f"{result.duration_s:.1f} s of {result.planned_duration_s:g} s"),
         *([("flight", f"{result.flight} of {len(result.flights)}")] if len(result.flights) > 1 else []),
         ("speed", f"{three(factor)} × real time"),

@@ -148,6 +148,17 @@ def test_a_broken_run_names_its_cause_and_is_not_held_against_the_article(tmp_pa
     assert "article" not in "".join(lines)
 
 
+@pytest.mark.parametrize(
+    ("mode", "text"), [("lockstep", "simulated time"), ("real-time", "by the wall clock"), ("numeric", "numeric")]
+)
+def test_a_summary_says_how_time_went(tmp_path: Path, mode: str, text: str) -> None:
+    """Simulated time may go as fast as the clock: `lockstep` would read as if it had not."""
+    write_run(tmp_path, Script(until_s=3.0, metadata={"mode": mode, "version": "0.1.0"}))
+    result = write_report(tmp_path)
+    assert any(f"seed 1, {text}, " in line for line in terminal.lines(result))
+    assert f"<dt>mode</dt><dd>{text}</dd>" in (tmp_path / "report.html").read_text()
+
+
 def test_the_terminals_table_has_a_labelled_row_a_robot_in_80_columns(folder: Path) -> None:
     result = write_report(folder)
     lines = list(terminal.lines(result))
