@@ -187,7 +187,7 @@ class Result:
 
     @property
     def mode_text(self) -> str:
-        """How time went, for people."""
+        """The kind of time that the run had, for people."""
         return MODE_TEXTS.get(self.mode, self.mode)
 
     @property

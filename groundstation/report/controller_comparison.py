@@ -14,7 +14,7 @@ from matplotlib.ticker import FormatStrFormatter, NullFormatter
 from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightMetrics, Traces, Variant
 from groundstation.analysis.statistics import NOTHING, Interval, mean
 from groundstation.palette import COLOURS, colour
-from groundstation.report.drawing import Curve, Panel, Picture, TimePlot
+from groundstation.report.drawing import Curve, Panel, PaperFigure, TimePlot
 from groundstation.report.plotting import (
     BOTTOM_IN,
     GREY,
@@ -128,9 +128,9 @@ def closest(comparison: Comparison) -> list[tuple[str, float]]:
 # --- figures
 
 
-def errors(comparison: Comparison) -> Picture:
+def errors(comparison: Comparison) -> PaperFigure:
     """Every flight as a dot, means with their intervals, on logarithmic axes."""
-    return Picture(partial(_errors, comparison))
+    return PaperFigure(partial(_errors, comparison))
 
 
 def _errors(comparison: Comparison, width_in: float) -> Figure:
@@ -153,9 +153,9 @@ def _errors(comparison: Comparison, width_in: float) -> Figure:
     return figure
 
 
-def demands(comparison: Comparison) -> Picture:
+def demands(comparison: Comparison) -> PaperFigure:
     """Share of control steps in which more was wanted than is allowed, and how much input changes."""
-    return Picture(partial(_demands, comparison))
+    return PaperFigure(partial(_demands, comparison))
 
 
 def _demands(comparison: Comparison, width_in: float) -> Figure:
@@ -210,9 +210,9 @@ def _width_in(name: str) -> float:
     return float(TextPath((0.0, 0.0), name, size=STYLE["font.size"]).get_extents().width) / 72.0
 
 
-def course(comparison: Comparison) -> Picture | None:
+def course(comparison: Comparison) -> PaperFigure | None:
     """Distance from the reference over time, on the first seed."""
-    return Picture(partial(_course, comparison)) if _traced(comparison) else None
+    return PaperFigure(partial(_course, comparison)) if _traced(comparison) else None
 
 
 def _course(comparison: Comparison, width_in: float) -> Figure:
@@ -237,10 +237,10 @@ def _course(comparison: Comparison, width_in: float) -> Figure:
     return figure
 
 
-def wanted(comparison: Comparison) -> Picture | None:
+def wanted(comparison: Comparison) -> PaperFigure | None:
     """Surge of the robot that wanted most, per law: wanted (thin) and applied, with the limit."""
     traced_variants = [(v, t) for v, t in _traced(comparison) if "-without-" not in v.name and not v.name.startswith("mpc-")]
-    return Picture(partial(_wanted, comparison, traced_variants)) if traced_variants else None
+    return PaperFigure(partial(_wanted, comparison, traced_variants)) if traced_variants else None
 
 
 def _wanted(comparison: Comparison, traced_variants: Sequence[tuple[Variant, Traces]], width_in: float) -> Figure:

@@ -82,7 +82,7 @@ class BarPlot:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PaperFigure:
     """A figure that is no plot over time: how it is drawn on paper of a width in inches."""
 
     draw: Callable[[float], Figure]

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from groundstation.analysis.series import RobotSeries, Series
 from groundstation.palette import colour
-from groundstation.report.drawing import Picture
+from groundstation.report.drawing import PaperFigure
 from groundstation.report.plotting import (
     BOTTOM_IN,
     GREY,
@@ -35,10 +35,10 @@ FLAT_M = 0.05  # a path that changes its depth by less than this is best seen fr
 MOST_3D_STEP = 5  # every so many control steps are enough for a picture in perspective
 
 
-def references(series: Series) -> Picture | None:
+def references(series: Series) -> PaperFigure | None:
     """The planned paths seen from above, and their headings over time (the article's Figure 9)."""
     tracks = {robot: r.reference for robot, r in series.robots.items() if np.isfinite(r.reference).all() and len(r.reference)}
-    return Picture(partial(_references, series, tracks)) if tracks else None
+    return PaperFigure(partial(_references, series, tracks)) if tracks else None
 
 
 def _references(series: Series, tracks: dict[int, Array], width_in: float) -> Figure:
@@ -64,12 +64,12 @@ def _references(series: Series, tracks: dict[int, Array], width_in: float) -> Fi
     return figure
 
 
-def space(series: Series) -> Picture | None:
+def space(series: Series) -> PaperFigure | None:
     """Paths in three dimensions, if the robots dive (Figures 10, 13 and 15)."""
     by_robot = {robot: r for robot, r in series.robots.items() if np.isfinite(r.truth[:, :3]).all() and len(r.truth)}
     if not by_robot or max(float(np.ptp(r.reference[:, 2])) for r in by_robot.values()) < FLAT_M:
         return None
-    return Picture(partial(_space, series, by_robot))
+    return PaperFigure(partial(_space, series, by_robot))
 
 
 def _space(series: Series, by_robot: dict[int, RobotSeries], width_in: float) -> Figure:
@@ -96,10 +96,10 @@ def _space(series: Series, by_robot: dict[int, RobotSeries], width_in: float) ->
     return figure
 
 
-def paths(series: Series) -> Picture | None:
+def paths(series: Series) -> PaperFigure | None:
     """Paths in the pool, seen from above (the article's Figure 30)."""
-    seen = any(np.isfinite(r.truth[:, :2]).any() for r in series.robots.values())
-    return Picture(partial(_paths, series)) if seen else None
+    has_paths = any(np.isfinite(r.truth[:, :2]).any() for r in series.robots.values())
+    return PaperFigure(partial(_paths, series)) if has_paths else None
 
 
 def _paths(series: Series, width_in: float) -> Figure:

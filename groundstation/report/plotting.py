@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from groundstation.report.drawing import BarPlot, Panel, Picture, TimePlot, thin
+from groundstation.report.drawing import BarPlot, Panel, PaperFigure, TimePlot, thin
 
 GREY, LIGHT = "#767676", "#D9D9D9"
 WIDTH_IN, COLUMN_IN = 7.2, 3.5  # of two columns of most journals, and of one
@@ -52,19 +52,19 @@ STYLE: Any = {  # Any: matplotlib types its keys as one literal of hundreds of n
 }
 
 
-def picture(drawing: TimePlot | BarPlot | Picture | None, width_in: float = WIDTH_IN) -> Figure | None:
+def picture(drawing: TimePlot | BarPlot | PaperFigure | None, width_in: float = WIDTH_IN) -> Figure | None:
     """A drawing as a figure on paper; None if there is nothing to plot. `width_in` is a picture's and a stack of panels'."""
     if drawing is None or (isinstance(drawing, TimePlot) and drawing.is_empty):
         return None
     with mpl.rc_context(STYLE):
-        if isinstance(drawing, Picture):
+        if isinstance(drawing, PaperFigure):
             return drawing.draw(width_in)
         if isinstance(drawing, BarPlot):
             return _bars(drawing)
         return _time_and_histogram(drawing) if drawing.histogram else stack(drawing, width_in)
 
 
-def on_page(drawing: Picture, name: str) -> str:
+def on_page(drawing: PaperFigure, name: str) -> str:
     """A picture for a page: as an SVG element of two columns' width, which is shown, and in a template that of one column,
     which paper.js saves."""
     with mpl.rc_context(STYLE):

@@ -23,7 +23,7 @@ from groundstation.analysis.series import Series, TimelineEvent
 from groundstation.analysis.statistics import three
 from groundstation.analysis.timeline import is_injection
 from groundstation.logs.reader import RunLog, read_log
-from groundstation.report.drawing import Picture, TimePlot, embedded
+from groundstation.report.drawing import PaperFigure, TimePlot, embedded
 from groundstation.report.figures import FIGURES, Kind
 from groundstation.report.plotting import on_page, picture
 from groundstation.report.report_tables import tables
@@ -183,7 +183,7 @@ def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
 
 def _draw(kind: Kind, series: Series) -> Drawn:
     plot = kind.draw(series)
-    if plot is None or isinstance(plot, Picture):
+    if plot is None or isinstance(plot, PaperFigure):
         # our own picture, with texts that matplotlib has escaped
         svg = Markup(on_page(plot, kind.name)) if plot is not None else None
         return Drawn(kind.name, kind.title, kind.caption, None, svg)

@@ -116,7 +116,7 @@ BOXES = """() => {
 }"""
 
 
-def test_what_every_page_saves_is_complete_and_can_be_read_at_one_and_two_columns(browser: Browser, tmp_path: Path) -> None:
+def test_figures_of_every_page_are_saved_whole_and_readable_at_one_and_two_columns(browser: Browser, tmp_path: Path) -> None:
     """Reports, laws and runs compared, and campaigns: texts are large enough, nothing lies outside, each axis has its unit."""
     names = []
     for page_file in pages_with_figures(tmp_path):
