@@ -10,6 +10,7 @@ INSTALLED := .venv/.installed
 # More threads only make these matrices slower, and results must not depend on their number.
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
+export MKL_NUM_THREADS = 1
 # Programs and test processes start often: where Python may not keep what it compiled, each start costs up to twice as much.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -18,6 +19,9 @@ BY_FILE := --dist loadfile --no-loadscope-reorder
 IN_PARALLEL := -n logical $(BY_FILE)
 # Two at a time: what waits for programs and for the clock leaves the processors idle for most of its time, but not for more.
 IN_PAIRS := -n 2 $(BY_FILE)
+
+# The page's files with the longest flights begin first: none of them is left alone at the end.
+LONG_PAGES := $(addprefix tests/page/test_,flight.py end.py setup.py)
 
 # Folders in which every test flies or starts programs: they are not even collected for `make check`.
 NO_UNITS := $(addprefix --ignore=tests/,closed_loop examples faults page)
@@ -55,7 +59,8 @@ test-real-time: # only files that have the mark: to collect all of them takes te
 	    $$(grep -rlw real_time tests --include='test_*.py' | grep -v ^tests/page/ | sort)
 
 test-page:
-	$(BIN)/python -m pytest $(IN_PAIRS) -m "real_time and not slow" tests/page
+	$(BIN)/python -m pytest $(IN_PAIRS) -m "real_time and not slow" \
+	    $(LONG_PAGES) $(filter-out $(LONG_PAGES),$(sort $(wildcard tests/page/test_*.py)))
 
 test-computing:
 	nice -n 15 $(BIN)/python -m pytest $(IN_PARALLEL) -m "not real_time and not slow" --ignore=tests/page

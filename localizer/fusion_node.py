@@ -136,7 +136,7 @@ class FusionNode:
         age_ns = max(self._clock.now_ns() - instant_ns, 0)
         for robot, pose in result.poses:
             self._bus.publish(topics.POSE, pose, stamp_ns, robot, age_ns=age_ns)
-        self._tell_obstacles(result.distrusted)
+        self._publish_obstacles(result.distrusted)
         status = replace(
             result.status,
             frame_age_ms=age_ns * 1e-6,
@@ -169,21 +169,13 @@ class FusionNode:
         """Stamps up to which a camera's status and obstacles count; None: whatever has come."""
         return (None, None) if self._up_to_ns is None else self._up_to_ns.get(camera, (-1, -1))
 
-    def _tell_obstacles(self, out: tuple[str, ...]) -> None:
-        """Publish the obstacles of all cameras when one that sees and is not `out` has told of its own. What those that are
-        out, or silent, saw before goes on being told with its age."""
-        new: list[tuple[int, int]] = []  # instant and stamp
-        for name, camera in self.cameras.items():
-            obstacles = camera.obstacles.newest(self._counts_up_to_ns(name)[1])
-            if obstacles is not None and obstacles is not camera.used_obstacles:
-                camera.used_obstacles = obstacles
-                if name not in out:
-                    camera.trusted_obstacles = obstacles
-                    stamp_ns = self._stamps.carried(name, obstacles.header.stamp_ns, obstacles.header.session)
-                    new.append((self._clock.instant_ns(obstacles), stamp_ns))
+    def _publish_obstacles(self, out: tuple[str, ...]) -> None:
+        """Publish the obstacles of all cameras when one that is not `out` has reported its own. Those that a camera saw before
+        it was out, or silent, stay, with their age."""
+        new = self._take_obstacles(out)
         if not new:
             return
-        newest_ns, stamp_ns = max(new)
+        newest_ns, self._obstacles_ns = max(new)
         fresh: dict[str, Obstacles] = {}
         before: dict[str, tuple[Obstacles, float]] = {}
         for name, camera in self.cameras.items():
@@ -194,10 +186,23 @@ class FusionNode:
                 fresh[name] = trusted.message
             else:
                 before[name] = trusted.message, max((newest_ns - self._clock.instant_ns(trusted)) * 1e-9, 0.0)
-        self._obstacles_ns = stamp_ns
         fused = fuse_obstacles(fresh, tuple(self.cameras), before)
         age_ns = max(self._clock.now_ns() - newest_ns, 0)
         self._bus.publish(topics.OBSTACLES, fused, self._obstacles_ns, age_ns=age_ns)
+
+    def _take_obstacles(self, out: tuple[str, ...]) -> list[tuple[int, int]]:
+        """Take each camera's newest obstacles, and trust them if it is not `out`. Returns instants and stamps of those that
+        are new and trusted."""
+        new: list[tuple[int, int]] = []
+        for name, camera in self.cameras.items():
+            obstacles = camera.obstacles.newest(self._counts_up_to_ns(name)[1])
+            if obstacles is not None and obstacles is not camera.used_obstacles:
+                camera.used_obstacles = obstacles
+                if name not in out:
+                    camera.trusted_obstacles = obstacles
+                    stamp_ns = self._stamps.carried(name, obstacles.header.stamp_ns, obstacles.header.session)
+                    new.append((self._clock.instant_ns(obstacles), stamp_ns))
+        return new
 
     def _log(self, status: LocalizerStatus, disagreement: str) -> None:
         """Log which cameras are out when that changes, and now and then that they disagree."""

@@ -8,8 +8,10 @@ third would starve the others of processor time.
 
 import gc
 import os
+import re
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -17,7 +19,7 @@ from hypothesis import HealthCheck, settings
 
 from tests import skipped
 
-for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
+for library in ("OMP", "OPENBLAS", "MKL"):  # read when numpy is first imported, which is after this; `sil` asks for all three
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 os.environ["SHOAL_CHECK_KERNELS"] = "1"  # types of arguments, which machine code does not look at
@@ -39,6 +41,15 @@ settings.register_profile(
 )
 settings.register_profile("explore", deadline=None, max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out a file all of whose tests have a mark that is not wanted: what it imports would cost more than most tests."""
+    if not collection_path.name.startswith("test_"):
+        return None
+    unwanted = re.findall(r"\bnot (\w+)", config.option.markexpr)
+    marks = re.search(r"^pytestmark\b.*", collection_path.read_text(encoding="utf-8"), re.MULTILINE)
+    return True if marks and any(re.search(rf"\bmark\.{mark}\b", marks[0]) for mark in unwanted) else None
 
 
 def pytest_collection_finish() -> None:

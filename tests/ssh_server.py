@@ -71,6 +71,7 @@ def ssh_server(
 
 def own_wheel(folder: Path) -> Path:
     """A wheelhouse with nothing but this project's wheel."""
-    # the public functions also collect the wheels of all other packages, which takes minutes
-    wheelhouse._pip("wheel", "--no-deps", "--wheel-dir", str(folder), str(wheelhouse.ROOT))
+    # the public functions also collect the wheels of all other packages, which takes minutes; without isolation pip takes the
+    # setuptools that is here and fetches none
+    wheelhouse._pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(wheelhouse.ROOT))
     return folder

@@ -219,12 +219,14 @@ def _errors(error: Array, time_s: Array) -> Errors:
 
 
 def _hops(robots: Iterable[RobotSeries], flying: Sequence[Mask]) -> dict[str, Quantiles | None]:
+    """Quantiles of the delay of each hop from picture to pulses, over all robots' steps whose hops are all known."""
     hops = np.concatenate([r.states.hops_ms[rows] for r, rows in zip(robots, flying, strict=True)])
     complete = hops[np.isfinite(hops).all(axis=1)]
     return {name: _quantiles(complete[:, k]) for k, name in enumerate(HOPS)} if len(complete) else {}
 
 
 def _at_limit(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
+    """For each limit of the controller the share of steps at it, of the robot with the largest share."""
     shares = [
         {name: float(active[rows].mean()) for name, active in active_limits(series, r).items()}
         for r, rows in zip(series.robots.values(), flying, strict=True)

@@ -34,8 +34,11 @@ def init(ring: Path, hosts: Sequence[str], fleet: str, now: datetime) -> list[Is
                 f"--host {host!r}: no name or address of a host (letters, digits, . and -; not a port, no brackets)"
             )
     with os_errors_as_config_errors(ring):
-        if (ring / CA).exists() or (ring / AUTHORITY_KEY).exists():
-            raise ConfigError(f"{ring}: has keys already; a new authority would lock every robot out (choose another folder)")
+        if (ring / AUTHORITY_KEY).exists() or ((ring / CA).exists() and not _is_unused(ring)):
+            raise ConfigError(
+                f"{ring}: has keys already; a new authority would lock every robot out (choose another folder, or make what "
+                "is missing in this one by `groundstation keys add`)"
+            )
         if ring.is_dir():
             return _fill(ring, hosts, fleet, now)
         ring.parent.mkdir(parents=True, exist_ok=True)
@@ -47,10 +50,16 @@ def _fill(ring: Path, hosts: Sequence[str], fleet: str, now: datetime) -> list[I
     """Put a new authority and its first members into a folder."""
     ring.chmod(0o700)
     root = certificate_authority.make_authority(fleet, now)
+    # in this order: what is cut short before the last of them is made anew by another `init`
+    _write_members(ring, MemberList(hosts=tuple(dict.fromkeys([*hosts, *ALWAYS_HOSTS]))))
     _write(ring / CA, root.certificate, 0o644)
     _write(ring / AUTHORITY_KEY, root.private_key, 0o600)
-    _write_members(ring, MemberList(hosts=tuple(dict.fromkeys([*hosts, *ALWAYS_HOSTS]))))
     return [add(ring, role, 0, now) for role in ("station", "operator", "localizer", "simulator", "viewer")]
+
+
+def _is_unused(ring: Path) -> bool:
+    """True if the ring's list is there and nobody has ever been on it: it was cut short. Raises ConfigError for a bad list."""
+    return (ring / MEMBERS).exists() and not read_members(ring).member
 
 
 def _is_host(text: str) -> bool:

@@ -59,6 +59,7 @@ class _Change:
     robots: tuple[int, ...]
     trajectory_s: float = 0.0
     back: bool = False  # to the set before, after one robot did not follow; or of a restarted robot
+    returned: bool = False  # of robots that came back with other gains: no person has asked for it
     accepted: set[int] = field(default_factory=set)
     begun_ns: int | None = None  # instant at which the first robot flew with it
 
@@ -99,7 +100,7 @@ class GainUpdater:
     ) -> str:
         """Change these gains (key: value), keep the others: at once, or with the next lap of a path. `fleet`: the robots of
         the formation; `flying`: states of those that fly its trajectories."""
-        if self._stage is not GainStage.IDLE:
+        if self._is_busy:
             return f"another change is under way: {self._stage.value}"
         try:
             config = tuned(self._config, values)
@@ -116,9 +117,16 @@ class GainUpdater:
         """Go back to the set before; cancel a change that still waits for its lap."""
         if self._stage is GainStage.WAITING:
             return self._begin(self._config, fleet, now_ns)
-        if self._stage is not GainStage.IDLE:
+        if self._is_busy:
             return f"another change is under way: {self._stage.value}"
         return self._begin(self._before[-1], fleet, now_ns) if self._before else "there is nothing to undo"
+
+    @property
+    def _is_busy(self) -> bool:
+        """True while a change is under way that another may not replace. A robot that came back and does not answer, or has
+        not answered yet, keeps nobody waiting."""
+        asks_returned = self._change is not None and self._change.returned and self._stage is GainStage.ASKING
+        return self._stage is not GainStage.IDLE and not asks_returned
 
     def _begin(self, config: ControllerConfig, fleet: Fleet, now_ns: int, trajectory_s: float = 0.0) -> str:
         silent = [str(robot) for robot, view in fleet.items() if not view.heard]
@@ -244,7 +252,7 @@ class GainUpdater:
             and view.state.tuning_id != self._flown.id
         )
         if differing and now_ns - self._since_ns > AGAIN_S * 1e9:
-            self._begin_stage(_Change(self._flown, self._config, differing, back=True), now_ns)
+            self._begin_stage(_Change(self._flown, self._config, differing, back=True, returned=True), now_ns)
         return ()
 
 

@@ -132,11 +132,13 @@ class PlanManager:
         return self._purpose == self._plan_return
 
     def _plan_return(self, fleet: Fleet, begin_s: float) -> PlanMaker:
+        """Purpose of a plan from rest: back to the starts."""
         experiment, starts = self.flown, self.starts
         rests, obstacles = self._roster.rest_poses(fleet), self.discs_to_avoid(fleet)
         return lambda out_of_time: plan_return(experiment, begin_s, rests, starts, obstacles, out_of_time)
 
     def _plan_regroup(self, fleet: Fleet, begin_s: float) -> PlanMaker:
+        """Purpose of a plan from rest: into the present slots, and on along the present path."""
         experiment, segment, progress_s = self.flown, self.segment, self.progress_s
         rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
         obstacles = self.discs_to_avoid(fleet)
@@ -202,6 +204,7 @@ class PlanManager:
         self._purpose, self._coming = self._into_form(form), None
 
     def _into_form(self, form: str) -> Callable[[Fleet, float], PlanMaker]:
+        """Purpose of a plan from rest: into the slots of another form, and on along the present path."""
         experiment, segment, progress_s = self.flown, self.segment, self.progress_s
 
         def plan(fleet: Fleet, begin_s: float) -> PlanMaker:

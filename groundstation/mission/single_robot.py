@@ -13,7 +13,7 @@ import numpy as np
 
 from groundstation.formation_clock import named_alone
 from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
-from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, Mission, may_have_power
+from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, UNFIT, Mission, may_have_power
 from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.roster import TAKEN_OUT, Leader
@@ -55,6 +55,7 @@ class RobotTask:
     started: bool = False  # GO: the robot has begun to fly its transfer
     velocity: DriveVelocity | None = None  # DRIVE: the newest, asked at `since_ns`; None: let go, the robot comes to rest
     timetable: Timetable | None = None  # GO, once the robot has its trajectory
+    armed_ns: int | None = None  # ARM: instant at which the robot said that it had done it
 
 
 class SingleRobotControl:
@@ -233,6 +234,8 @@ class SingleRobotControl:
             if task is not None:
                 refusal = self._dispatchers[result.command.robot].on_results([result], now_ns)
                 task.reason = refusal if result.command.order is not CommandKind.DRIVE or refusal else ""
+                if task.order is result.command.order is CommandKind.ARM and result.reply.accepted:
+                    task.armed_ns = now_ns if task.armed_ns is None else task.armed_ns
         commands: list[Command] = []
         for robot in self.tasks:
             task = self._under_way(robot)
@@ -276,6 +279,8 @@ class SingleRobotControl:
             return ()
         if task.order is CommandKind.GO:
             return self._go(robot, task, view, fleet, now_ns)
+        if task.order is CommandKind.ARM:
+            return self._arm(robot, task, view, now_ns)
         return self._send(CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order, robot, None, now_ns)
 
     def _drive(
@@ -291,6 +296,15 @@ class SingleRobotControl:
             self._end(robot, f"robot {robot} is {mode_name(view)}")
             return ()
         return (Command(CommandKind.DRIVE, robot, VELOCITY_LASTS_S, self._experiment.hash, drive=velocity),)
+
+    def _arm(self, robot: int, task: RobotTask, view: RobotView, now_ns: int) -> tuple[Command, ...]:
+        """Send ARM to a robot without power. One that has lost it since, by a restart for example, is not armed again for the
+        same request."""
+        lost_power = task.armed_ns is not None and view.state_age_s * 1e9 < now_ns - task.armed_ns
+        if view.mode in UNFIT or (view.mode is Mode.DISARMED and lost_power):
+            self._end(robot, f"robot {robot} is {mode_name(view)}{' again' if lost_power else ''}")
+            return ()
+        return () if view.mode in LIVE else self._send(CommandKind.ARM, robot, None, now_ns)
 
     def _go(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Hold, plan, load, start, fly, hold."""

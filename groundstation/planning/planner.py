@@ -142,16 +142,21 @@ def _group_motions(
 
         path = scale_time(path, _excess, samples, period_s)
     if experiment.duration_s > path.end_s + period_s:
-        before_s = time_s[: max(int(np.count_nonzero(time_s <= path.end_s)), 2)]
-        short = [
-            SlotOffset(n.place_m[: len(before_s)], n.rate_mps[: len(before_s)], n.bend_mps2[: len(before_s)]) for n in nodes
-        ]
-        motions = node_motions(experiment, path.at(before_s), group, short)
-        problems = robot_problems(experiment, motions, len(before_s))  # first: what is flown too fast is over too soon
-        over = f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s"
-        raise PlanError("\n".join([*problems, over]))
+        raise PlanError(_path_too_short(experiment, path, group, nodes, time_s))
     centre = path.at(time_s)
     return node_motions(experiment, centre, group, nodes), node_motion(centre, at_centre(samples), "translate", period_s)
+
+
+def _path_too_short(
+    experiment: Experiment, path: Path, group: Sequence[RobotConfig], nodes: Sequence[SlotOffset], time_s: Array
+) -> str:
+    """The reason to refuse a path that ends before the experiment. Robots that cannot follow it come first: a path that is
+    flown too fast is over too soon."""
+    before_s = time_s[: max(int(np.count_nonzero(time_s <= path.end_s)), 2)]
+    steps = len(before_s)
+    short = [SlotOffset(node.place_m[:steps], node.rate_mps[:steps], node.bend_mps2[:steps]) for node in nodes]
+    problems = robot_problems(experiment, node_motions(experiment, path.at(before_s), group, short), steps)
+    return "\n".join([*problems, f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s"])
 
 
 def centre_path(experiment: Experiment, spec: PathSpec, group: Sequence[RobotConfig], nodes: Sequence[SlotOffset]) -> Path:

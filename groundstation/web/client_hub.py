@@ -47,6 +47,7 @@ TOO_MANY, ELSEWHERE, NOT_ALLOWED, BAD_REQUEST = 4001, 4002, 4003, 4000
 REASON_BYTES = 123  # of a closing connection (RFC 6455, section 5.5)
 
 T = TypeVar("T")
+NEWEST = (protocol.DriveRequest, protocol.PreviewEdit, protocol.PreviewFlight)  # requests of which only the newest counts
 
 
 class ControlLease:
@@ -99,13 +100,11 @@ class Client:
     shown_ns: int = -1  # stamp of the picture that was sent last
     window: SendWindow = field(default_factory=SendWindow)
     wake: asyncio.Event = field(default_factory=asyncio.Event)
-    busy: bool = False  # an edit of this watcher is being planned
-    waiting: protocol.PreviewEdit | None = None  # the newest one that came meanwhile
-    steering: bool = False  # a velocity is being told to the station
-    drive: protocol.DriveRequest | None = None  # the newest one that came meanwhile
+    busy: set[type[protocol.Request]] = field(default_factory=set)  # kinds of NEWEST of which one is being dealt with
+    waiting: dict[type[protocol.Request], protocol.Request] = field(default_factory=dict)  # the newest that came meanwhile
 
-    def note(self, message: dict[str, Any]) -> None:
-        self.window.note(packed(message))
+    def answer(self, message: dict[str, Any]) -> None:
+        self.window.answer(packed(message))
         self.wake.set()
 
 
@@ -239,8 +238,8 @@ class ClientHub:
         watcher = Client(self._count, websocket, hello.page, self._camera(hello.camera))
         events = [msgspec.Raw(body) for body in self._history]
         scene = self._source.scene() | {"report": self._desk.shown_report, "end": self._desk.shown_end}
-        watcher.note({"k": "hello", "you": watcher.id, "scene": scene, "events": events})
-        watcher.note({"k": "past", "states": self._source.past()})
+        watcher.answer({"k": "hello", "you": watcher.id, "scene": scene, "events": events})
+        watcher.answer({"k": "past", "states": self._source.past()})
         self._replace(watcher)
         self._watchers[watcher.id] = watcher
         self._tell_now()
@@ -304,18 +303,13 @@ class ClientHub:
             self._tell_now()
         elif isinstance(request, protocol.OrderRequest):
             self._spawn(self._request(watcher, request))
-        elif isinstance(request, protocol.DriveRequest):
-            watcher.drive = request
-            if not watcher.steering:
-                self._spawn(self._drive(watcher))
+        elif isinstance(request, NEWEST):
+            watcher.waiting[type(request)] = request
+            if type(request) not in watcher.busy:
+                watcher.busy.add(type(request))  # at once: the next request may be taken in before the task has begun
+                self._spawn(self._follow(watcher, type(request)))
         elif isinstance(request, protocol.TuneRequest):
             self._spawn(self._request_gains(watcher, request))
-        elif isinstance(request, protocol.PreviewEdit):
-            watcher.waiting = request
-            if not watcher.busy:
-                self._spawn(self._attempt(watcher))
-        elif isinstance(request, protocol.PreviewFlight):
-            self._spawn(self._preview_flight(watcher, request))
         elif isinstance(request, protocol.Save):
             self._spawn(self._save(watcher, request))
         elif isinstance(request, protocol.OfRuns):
@@ -344,8 +338,27 @@ class ClientHub:
             return ""
         return "another page has control" if self._lease.holder else "take control first"
 
-    async def _at(self, threads: ThreadPoolExecutor, do: Callable[..., T], *arguments: Any) -> T:
-        return await asyncio.get_running_loop().run_in_executor(threads, do, *arguments)
+    async def _at(self, threads: ThreadPoolExecutor, failed: Callable[[str], T], do: Callable[..., T], *arguments: Any) -> T:
+        """Result of work in a thread; where it raises, what `failed` makes of the reason: the page waits for an answer."""
+        try:
+            return await asyncio.get_running_loop().run_in_executor(threads, do, *arguments)
+        except Exception as error:
+            reason = f"failed: {type(error).__name__}: {error}"
+            log.error("page: a request %s", reason, exc_info=error)
+            return failed(reason)
+
+    async def _follow(self, watcher: Client, kind: type[protocol.Request]) -> None:
+        """Deal with the newest request of a kind, and again while newer ones come; those in between are passed over."""
+        try:
+            while (request := watcher.waiting.pop(kind, None)) is not None:
+                if isinstance(request, protocol.DriveRequest):
+                    await self._drive(watcher, request)
+                elif isinstance(request, protocol.PreviewEdit):
+                    await self._attempt(watcher, request)
+                elif isinstance(request, protocol.PreviewFlight):
+                    await self._preview_flight(watcher, request)
+        finally:
+            watcher.busy.discard(kind)
 
     def _void(self, seen_ms: int, valid_s: float = ORDER_VALID_S) -> str:
         """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
@@ -357,11 +370,11 @@ class ClientHub:
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
         order, number = order_named(request.order), 0
         if order is CommandKind.STOP:
-            reason, number = await self._at(self._stops, self._source.station.request, order)
+            reason, number = await self._at(self._stops, _refused, self._source.station.request, order)
         else:
             reason = self._may_command(watcher) or self._void(request.seen_ms)
             if not reason:
-                reason, number = await self._at(self._orders, self._order, order, request)
+                reason, number = await self._at(self._orders, _refused, self._order, order, request)
         self._answer(watcher, request.n, request.order, reason, number)
 
     def _order(self, order: CommandKind, request: protocol.OrderRequest) -> tuple[str, int]:
@@ -372,29 +385,25 @@ class ClientHub:
             return str(error), 0
         return self._source.station.request(order, request.via_m, request.robot, text)
 
-    async def _drive(self, watcher: Client) -> None:
-        """Tell the station the newest velocity, and again while newer ones come. The page hears of refusals alone."""
-        watcher.steering = True
-        try:
-            while (drive := watcher.drive) is not None:
-                watcher.drive = None
-                velocity = DriveVelocity(drive.surge_mps, drive.heave_mps, drive.yaw_rate_radps)
-                reason = self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S)
-                if not reason:
-                    reason = await self._at(self._orders, self._source.station.drive, drive.robot, velocity)
-                if reason:
-                    watcher.note({"k": "undriven", "robot": drive.robot, "reason": reason})
-        finally:
-            watcher.steering = False
+    async def _drive(self, watcher: Client, drive: protocol.DriveRequest) -> None:
+        """Tell the station a velocity. The page hears of refusals alone."""
+        velocity = DriveVelocity(drive.surge_mps, drive.heave_mps, drive.yaw_rate_radps)
+        reason = self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S)
+        if not reason:
+            reason = await self._at(self._orders, str, self._source.station.drive, drive.robot, velocity)
+        if reason:
+            watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:
         reason, number = self._may_command(watcher) or self._void(request.seen_ms), 0
         if not reason:
-            reason, number = await self._at(self._orders, self._source.station.request_gains, request.values, request.next_lap)
+            reason, number = await self._at(
+                self._orders, _refused, self._source.station.request_gains, request.values, request.next_lap
+            )
         self._answer(watcher, request.n, "tune", reason, number)
 
     def _answer(self, watcher: Client, n: int, order: str, reason: str, number: int) -> None:
-        watcher.note({"k": "reply", "n": n, "order": order, "ok": not reason, "reason": reason, "request": number})
+        watcher.answer({"k": "reply", "n": n, "order": order, "ok": not reason, "reason": reason, "request": number})
         self._tell_now()
 
     def _tell_now(self) -> None:
@@ -404,54 +413,61 @@ class ClientHub:
         except Exception as error:
             self._complain(error)
 
-    async def _attempt(self, watcher: Client) -> None:
-        """Plan the newest edit, and again while newer ones come; those in between were only passed over while dragging."""
-        watcher.busy = True
-        try:
-            while (tried := watcher.waiting) is not None:
-                watcher.waiting = None
-                watcher.note(
-                    {"k": "tried", "n": tried.n} | await self._at(self._plans, attempt, self._source.experiment, tried.edit)
-                )
-        finally:
-            watcher.busy = False
+    async def _attempt(self, watcher: Client, tried: protocol.PreviewEdit) -> None:
+        judged = await self._at(self._plans, _unfit, attempt, self._source.experiment, tried.edit)
+        watcher.answer({"k": "tried", "n": tried.n} | judged)
 
     async def _preview_flight(self, watcher: Client, request: protocol.PreviewFlight) -> None:
         order, station = order_named(request.order), self._source.station
         answer = await self._at(
             self._plans,
+            _unfit,
             drafted,
             self._source.experiment,
             lambda: station.draft(order, flight_text(self._source.experiment, order, request.text)),
         )
-        watcher.note({"k": "drafted", "n": request.n} | answer)
+        watcher.answer({"k": "drafted", "n": request.n} | answer)
 
     async def _save(self, watcher: Client, request: protocol.Save) -> None:
         reason = self._may_command(watcher)
         done = (
-            {"ok": False, "problems": [reason]}
+            _unfit(reason)
             if reason
-            else await self._at(self._plans, save, self._source.experiment, request.edit, request.name)
+            else await self._at(self._plans, _unfit, save, self._source.experiment, request.edit, request.name)
         )
-        watcher.note({"k": "saved", "n": request.n} | done)
+        watcher.answer({"k": "saved", "n": request.n} | done)
 
     async def _choose(self, watcher: Client, request: protocol.AfterRun) -> None:
         reason = self._may_command(watcher)
-        problems = [reason] if reason else await self._at(self._plans, self._source.choose, request.what, request.edit)
-        watcher.note({"k": "chosen", "n": request.n, "problems": problems})
+        problems = (
+            [reason]
+            if reason
+            else await self._at(self._plans, lambda why: [why], self._source.choose, request.what, request.edit)
+        )
+        watcher.answer({"k": "chosen", "n": request.n, "problems": problems})
 
     async def _answer_of_runs(self, watcher: Client, request: protocol.OfRuns) -> None:
         """The list of runs, after the change that was asked for. Pages that watch may look."""
         desk, reason = self._desk, self._may_command(watcher)
         if isinstance(request, protocol.ListRuns):
-            answer = await self._at(self._runs, desk.listing)
+            answer = await self._at(self._runs, desk.nothing, desk.listing)
         elif reason:
-            answer = await self._at(self._runs, desk.listing, reason)
+            answer = await self._at(self._runs, desk.nothing, desk.listing, reason)
         elif isinstance(request, protocol.LabelRun):
-            answer = await self._at(self._runs, desk.label, request.run, request.name, request.tags)
+            answer = await self._at(self._runs, desk.nothing, desk.label, request.run, request.name, request.tags)
         else:
-            answer = await self._at(self._runs, desk.delete, request.run)
-        watcher.note(answer)
+            answer = await self._at(self._runs, desk.nothing, desk.delete, request.run)
+        watcher.answer(answer)
+
+
+def _refused(reason: str) -> tuple[str, int]:
+    """The station's answer to a request that it refuses."""
+    return reason, 0
+
+
+def _unfit(reason: str) -> dict[str, Any]:
+    """The planner's answer about what cannot be flown."""
+    return {"ok": False, "problems": [reason]}
 
 
 def packed(message: dict[str, Any]) -> bytes:

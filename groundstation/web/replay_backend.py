@@ -119,10 +119,10 @@ class LogPlayer:
         return begins[-1] if begins else self._begun[0][1]
 
     def _first_flown_ns(self) -> tuple[int, int]:
-        """Instant of the first robot's first state on the formation's trajectory, and that trajectory's beginning; if there is
-        none, of its first state."""
+        """Instant of the first state of any robot on the formation's trajectory, and that trajectory's beginning; if there is
+        none, of the first state."""
         said_ns = None
-        for _, at_ns, state in self._each(topics.STATE, RobotState, self.experiment.robot_ids[0]):
+        for _, at_ns, state in self._each(topics.STATE, RobotState):
             said_ns = at_ns if said_ns is None else said_ns
             flown_s = FormationPlans().clock_s(state) or 0.0
             if flown_s > 0.0:

@@ -1,8 +1,8 @@
-"""Send window of one page: at most two frames on the way, the latest state and picture, every note in order. Pure.
+"""Send window of one page: at most two frames on the way, the latest state and picture, every answer and note in order. Pure.
 
-A browser that stops acknowledging stops being sent to. What it costs is one state, one picture and MOST_NOTES notes, and the
-bytes of two frames in a socket; nothing waits for it. Notes and states take turns, so that neither keeps the other waiting.
-Before the connection ends, all that waits goes out at once.
+A browser that stops acknowledging stops being sent to. What it costs is one state, one picture, MOST_NOTES notes and as many
+answers, and the bytes of two frames in a socket; nothing waits for it. Notes and states take turns, so that neither keeps the
+other waiting. Answers go before notes, and no number of notes drops one. Before the connection ends, all that waits goes out.
 """
 
 from collections import deque
@@ -16,17 +16,20 @@ class SendWindow:
 
     def __init__(self) -> None:
         self.round_trip_s = 0.0  # of the last frame acknowledged: network and drawing together
-        self._notes: deque[bytes] = deque()
+        self._answers: deque[bytes] = deque(maxlen=MOST_NOTES)
+        self._notes: deque[bytes] = deque(maxlen=MOST_NOTES)
         self._latest: dict[str, bytes] = {}  # by kind, the one that waited longest first
         self._sent_s: dict[int, float] = {}
         self._n = 0
         self._noted = False  # the frame before was a note
         self._ends = False
 
+    def answer(self, body: bytes) -> None:
+        """Queue something that the page waits for. The oldest go when the page asks and takes none."""
+        self._answers.append(body)
+
     def note(self, body: bytes) -> None:
-        """Queue something that must arrive: an answer, an event. The oldest go when the page takes none."""
-        if len(self._notes) >= MOST_NOTES:
-            self._notes.popleft()
+        """Queue an event. The oldest go when the page takes none."""
         self._notes.append(body)
 
     def offer(self, kind: str, body: bytes) -> None:
@@ -36,10 +39,11 @@ class SendWindow:
     def next(self, now_s: float) -> tuple[int, bytes] | None:
         """Number and body of the frame to send now; None when there is nothing or too much is on its way."""
         full = len(self._sent_s) >= UNACKNOWLEDGED and not self._ends
-        if full or not (self._notes or self._latest):
+        queue = self._answers or self._notes
+        if full or not (queue or self._latest):
             return None
-        self._noted = bool(self._notes) and not (self._noted and self._latest)
-        body = self._notes.popleft() if self._noted else self._latest.pop(next(iter(self._latest)))
+        self._noted = bool(queue) and not (self._noted and self._latest)
+        body = queue.popleft() if self._noted else self._latest.pop(next(iter(self._latest)))
         self._n += 1
         self._sent_s[self._n] = now_s
         return self._n, body

@@ -95,7 +95,7 @@ def _best_pose(camera: Camera, places: Array, pixels: Array) -> Camera:
         least_squares(_errors, start, args=(camera, places, pixels), x_scale="jac")
         for start in _starts(camera, places, pixels)
     ]
-    above = [fit for fit in fits if fit.x[5] < _LOWEST_CAMERA_M]
+    above = [fit for fit in fits if fit.x[5] < _LOWEST_CAMERA_M and _is_seen(_moved(camera, fit.x), places)]
     if not above:
         raise ConfigError(
             "points: no camera above the water sees them so; is z positive under water, and y down in the picture?"
@@ -103,6 +103,11 @@ def _best_pose(camera: Camera, places: Array, pixels: Array) -> Camera:
     best = min(above, key=lambda fit: float(fit.cost)).x
     best[:3] = cv2.Rodrigues(cv2.Rodrigues(best[:3])[0])[0].ravel()  # of all vectors for one turn the shortest
     return _moved(camera, best)
+
+
+def _is_seen(camera: Camera, places: Array) -> bool:
+    """True if all places lie before the lens: a camera that looks away from them would explain a mirrored picture."""
+    return bool(RefractiveCamera(camera).shows(places).all())
 
 
 def _starts(camera: Camera, places: Array, pixels: Array) -> list[Array]:

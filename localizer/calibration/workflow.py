@@ -135,8 +135,10 @@ def _earlier(out: Path) -> dict[str, Any]:
 
 def _check_same_size(out: Path, earlier: dict[str, Any], size_px: tuple[int, int]) -> None:
     """Refuse to mix what was marked in pictures of one size with a lens for another."""
-    if earlier and tuple(earlier.get("size_px", ())) != size_px:
-        sizes = ["x".join(map(str, size)) for size in (earlier.get("size_px", ("?",)), size_px)]
+    given = earlier.get("size_px")
+    held = given if isinstance(given, list) else ["?"]
+    if earlier and tuple(held) != size_px:
+        sizes = ["x".join(map(str, size)) for size in (held, size_px)]
         raise ConfigError(
             f"--out {out}: holds a camera with pictures of {sizes[0]}, these are {sizes[1]}: its masks and pose would not fit "
             "(write to another file)"

@@ -80,7 +80,8 @@ class AppearanceModel:
         return bool(self._learnt[robot])
 
     def match(self, views: Sequence[PredictedView], poses: Sequence[Array]) -> list[Match]:
-        """Match each view's robot, which must be initialised, near the pose given."""
+        """Match each view's robot, which must be initialised, near the pose given: first its place, by filters of what is seen
+        from above, then its heading, then both by an alignment."""
         if not views:
             return []
         robots, colours = _robot_indices(views), self._colours(views)
@@ -92,10 +93,11 @@ class AppearanceModel:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, matched_poses))
         matched_poses[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        clipped, verified = np.clip(peaks, 0.0, 1.0).tolist(), _verified(peaks, turn_peaks).tolist()
+        predicted = zip(poses, np.clip(peaks, 0.0, 1.0).tolist(), strict=True)
+        matched = zip(matched_poses, _verified(peaks, turn_peaks).tolist(), strict=True)
         return [
-            self._aligned(view, colours[i], ((poses[i], clipped[i]), (matched_poses[i], verified[i])))
-            for i, view in enumerate(views)
+            self._aligned(view, colour, starts)
+            for view, colour, *starts in zip(views, colours, predicted, matched, strict=True)
         ]
 
     def _aligned(self, view: PredictedView, colour: DemosaicedRegion, starts: Sequence[tuple[Array, float]]) -> Match:

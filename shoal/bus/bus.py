@@ -38,6 +38,7 @@ Decode = Callable[[type[Any], bytes, str, str], Any]  # type of the message, pay
 STOP_BYTES = 256  # a STOP has fewer; what is longer is not looked at before its turn
 SAME_NAME_S = 12.0  # for the router to miss a process that was cut off: its lease is 1 s, on a busy machine it takes longer
 TOLD_WITHIN_S = 0.25  # the router tells within ms that a name is taken; liveliness().get() misses 1 name of 20 under load
+LOOK_AGAIN_S = 3.0  # a name that is taken: of a process that ends as it is looked for, Zenoh may keep a session's memory
 STOPPED_WITHIN_S = 0.2  # between looks at whether this process is to end
 SESSIONS = 4  # per inbox that are remembered: of a sender that was started again, the one before may still be on its way
 TWO_SENDERS_S = 1.0  # after the last sign of a second sender; all topics that control come several times in that time
@@ -388,26 +389,38 @@ class Bus:
 
         Of several that begin together each says so, looks again when the others must have heard, and the lowest session gets
         the name. One that appears all the same, when a network has been in two parts, is an error in the log of both."""
-        others: set[tuple[str, int]] = set()  # states and sessions of other processes of this name
+        held, namesakes = False, set[tuple[str, int]]()  # states and sessions of processes of this name
 
-        def note(key: str, there: bool) -> None:
-            state, session = (topics.HOLDER, 0) if "/presence/" in key else _claim_of(key)
-            if session == self.session:
-                return
-            with self.arrival:
-                (others.add if there else others.discard)((state, session))
-                self.arrival.notify_all()
-                alarm = held and there and state == topics.HOLDER and session
-            if alarm:  # a thread of its own: what is logged goes out as an event, and this is a thread of the network's
-                text = "%s: another process of this name is in the fleet, and the two act by turns: end one"
-                threading.Thread(target=log.error, args=(text, process), name="claim", daemon=True).start()
+        def look(anew: bool) -> set[tuple[str, int]]:
+            """The processes as they are told from now on; `anew` by a connection that remembers none of before."""
+            processes = set[tuple[str, int]]()
+
+            def note(key: str, there: bool) -> None:
+                state, session = (topics.HOLDER, 0) if "/presence/" in key else _claim_of(key)
+                with self.arrival:
+                    (processes.add if there else processes.discard)((state, session))
+                    self.arrival.notify_all()
+                    other_holds = there and state == topics.HOLDER and session not in (0, self.session)
+                    alarm = other_holds and held and processes is namesakes
+                if alarm:  # a thread of its own: what is logged goes out as an event, and this is a thread of the network's
+                    threading.Thread(target=accuse, args=(session,), name="claim", daemon=True).start()
+
+            for key in (topics.PRESENCE_KEY, topics.CLAIM_KEY):
+                self.transport.watch(self._key(key.format(process=process, state="*", session="*")), note, anew)
+            return processes
+
+        def accuse(session: int) -> None:
+            """Log that another process has the name, if it is still there when it is looked for anew."""
+            processes = look(anew=True)
+            if self.wait(lambda: (topics.HOLDER, session) in processes, TOLD_WITHIN_S):
+                log.error("%s: another process of this name is in the fleet, and the two act by turns: end one", process)
 
         def is_free() -> bool:
+            others = [(state, session) for state, session in namesakes if session != self.session]
             return not any(state == topics.HOLDER or session < self.session for state, session in others)
 
-        held, deadline_s = False, time.monotonic() + patience_s
-        for key in (topics.PRESENCE_KEY, topics.CLAIM_KEY):
-            self.transport.watch(self._key(key.format(process=process, state="*", session="*")), note)
+        deadline_s, again_s = time.monotonic() + patience_s, time.monotonic() + LOOK_AGAIN_S
+        namesakes = look(anew=False)
         self.transport.announce(self._claim_key(process, topics.CANDIDATE))
         if self.wait(lambda: not is_free(), TOLD_WITHIN_S):
             log.info("%s: another process of this name is in the fleet; waiting for it to be gone", process)
@@ -417,6 +430,11 @@ class Bus:
                     f"{process}: another process of this name is in fleet {self._fleet} (allowed: one): end it, or start this "
                     "one for another robot (--robot) or fleet (--fleet)"
                 )
+            if time.monotonic() > again_s:
+                processes, again_s = look(anew=True), time.monotonic() + LOOK_AGAIN_S
+                if self.wait(lambda processes=processes: (topics.CANDIDATE, self.session) in processes, TOLD_WITHIN_S):  # type: ignore[misc]
+                    namesakes = processes  # it works: this process itself is told
+                    self.wait(lambda: not is_free(), TOLD_WITHIN_S)
         if not is_free():
             raise Unreached(f"{process}: stopped while another process of this name is in fleet {self._fleet}")
         held = True

@@ -91,7 +91,7 @@ class MemoryTransport:
             self._hub.tokens[key] = self
         self._tell(key, True)
 
-    def watch(self, key: str, presence: Presence) -> None:
+    def watch(self, key: str, presence: Presence, anew: bool = False) -> None:
         with self._hub.lock:
             self._hub.watchers.append((key, presence, self))
             there = [token for token in self._hub.tokens if _matches(key, token)]

@@ -270,6 +270,7 @@ def _kernel_modules(package: str) -> dict[str, Path]:
     visited: set[str] = set()
 
     def visit(module: str) -> None:
+        """Add a module that has kernels, after those that it imports."""
         if module in visited or module not in modules:
             return
         visited.add(module)

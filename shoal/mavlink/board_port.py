@@ -77,8 +77,8 @@ class UdpLink:
     def send(self, data: bytes) -> None:
         try:
             self.socket.send(data)
-        except OSError as error:  # refused: the other end does not listen now
-            self.trouble = error.strerror or str(error)
+        except OSError as error:
+            self._note_trouble(error)
 
     def read(self) -> bytes:
         """The bytes that have come, up to the size of one read. The rest comes with the next."""
@@ -93,13 +93,15 @@ class UdpLink:
                     break
             except BlockingIOError:
                 break
-            except ConnectionRefusedError:
-                self.trouble = "connection refused: the machine is there, but nothing listens on that port"
-                continue  # the answer to an earlier send; behind it may be data
-            except OSError as error:  # another such answer: a firewall's "prohibited", a router's "network unknown"
-                self.trouble = error.strerror or str(error)
-                break
+            except OSError as error:  # the answer to an earlier send
+                self._note_trouble(error)
+                if not isinstance(error, ConnectionRefusedError):  # a firewall's "prohibited", a router's "network unknown"
+                    break  # behind a refusal may be data
         return b"".join(datagrams)
+
+    def _note_trouble(self, error: OSError) -> None:
+        refused = "connection refused: the machine is there, but nothing listens on that port"
+        self.trouble = refused if isinstance(error, ConnectionRefusedError) else error.strerror or str(error)
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until something can be read, at most this long."""
@@ -134,6 +136,7 @@ class SerialLink:
 
     @property
     def trouble(self) -> str:
+        """Trouble with the port, or with the bytes from it; empty while all is well, or too early to judge."""
         if self._port is None:
             return serial_trouble(Path(self._device)) or self._refusal
         now_s = time.monotonic()

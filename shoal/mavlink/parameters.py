@@ -36,7 +36,8 @@ class ParameterClient:
         self._key = key
         self._list = ParameterList()
         self.last_words = ""  # the board's last words
-        self.error: tuple[str, int] | None = None  # last PARAM_ERROR: of which parameter, MAV_PARAM_ERROR
+        self._name = ""  # name of the parameter that was asked for or set last
+        self.error: tuple[str, int] | None = None  # PARAM_ERROR about that one: its name, MAV_PARAM_ERROR
 
     def _is_board(self, peer: Peer) -> bool:
         wanted = self.robot_id in (None, peer[0])
@@ -56,13 +57,13 @@ class ParameterClient:
         return b"".join(map(self._sender.pack, self._list.requests(self.robot_id or 0, BOARD_COMPONENT)))
 
     def ask(self, name: str) -> bytes:
-        self.error = None
+        self._name, self.error = name, None
         message = dialect.MAVLink_param_request_read_message(self.robot_id or 0, BOARD_COMPONENT, name.encode("ascii"), -1)
         return self._sender.pack(message)
 
     def set(self, name: str, value: float) -> bytes:
         """Ask for another value; the board answers with the one it then has."""
-        self.error = None
+        self._name, self.error = name, None
         real = dialect.MAV_PARAM_TYPE_REAL32
         message = dialect.MAVLink_param_set_message(self.robot_id or 0, BOARD_COMPONENT, name.encode("ascii"), value, real)
         return self._sender.pack(message)
@@ -124,7 +125,8 @@ class ParameterClient:
             self.autopilot = autopilot_name(message.autopilot)
         if kind == "PARAM_VALUE":
             self._list.note_value(message)
-        if kind == "PARAM_ERROR" and (message.target_system, message.target_component) == STATION:
+        is_ours = kind == "PARAM_ERROR" and (message.target_system, message.target_component) == STATION
+        if is_ours and message.param_id == self._name:  # another name: it is late, and about what was asked for before
             self.error = (message.param_id, message.error)
         if kind == "STATUSTEXT":
             self.last_words = message.text

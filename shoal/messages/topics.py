@@ -126,7 +126,10 @@ COMMANDS = Topic(
     OBSERVERS,
     cache_depth=32,
 )
-FAULT = Topic("sim/fault", messages.FaultRequest, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), OBSERVERS, cache_depth=32)
+# A simulator that is started again breaks nothing that was broken before.
+FAULT = Topic(
+    "sim/fault", messages.FaultRequest, 0, float("inf"), Qos.JOURNAL, True, (Role.STATION,), OBSERVERS, cache_depth=32
+)
 EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, LOG_SOURCES, cache_depth=1000)
 
 TOPICS = (

@@ -25,6 +25,8 @@ class StaticBackground:
         waters = WaterLight(experiment, random)
         lines = view.pixel_lines()
         hit = trace_to_surfaces(lines, experiment.pool)
+
+        # What moving water is seen over: the depth of each block of pixels, and the still pool.
         blocks = cv2.resize(hit.z, None, fx=1.0 / BLOCK, fy=1.0 / BLOCK, interpolation=cv2.INTER_AREA)
         blocks = cv2.resize(blocks, view.blocks.surface_x.shape[::-1], interpolation=cv2.INTER_LINEAR)
         self._scene = WaterView(waters, view, np.asarray(blocks, dtype=np.float32))
@@ -34,12 +36,15 @@ class StaticBackground:
         self._planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
         self._pulls = self._shift_per_slope()
         self._pixels = np.meshgrid(np.arange(view.width, dtype=np.float32), np.arange(view.height, dtype=np.float32))
+
+        # Where each Bayer square meets the pattern of the caustics, and how much of it reaches so deep.
         grid = waters.caustics.grid_coordinates(*plan_coordinates(hit, experiment.pool))
         self._grid_column, self._grid_row = (np.ascontiguousarray(plane[0::2, 0::2]) for plane in grid)
         self._reach = waters.reach(hit.z[0::2, 0::2])
         squares = self._grid_column.shape
         self._scratch = RowLight(*(np.empty(n, np.float32) for n in (squares[1], squares[1], 2 * squares[1], 2 * squares[1])))
         self._blend = np.empty((view.height, view.width), np.uint8)
+
         # The loops lie each in one array, which the system puts on large pages: less time to find them in memory.
         ripples, caustics = waters.ripple_clock.phases, waters.caustic_clock.phases
         self._views = np.empty((ripples, view.height, view.width), np.uint8)

@@ -184,9 +184,9 @@ def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int)
 
 
 def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) -> Iterator[LogMessage]:
-    """A robot's inputs, commands and states up to the moment at which the first of `robots` was `at_s` along its trajectory,
-    and the truth around it. Raises ConfigError if there is no such moment."""
-    moment_ns = _moment_ns(log, robots[0], at_s)
+    """A robot's inputs, commands and states up to the moment at which the first of `robots` that came so far was `at_s` along
+    its trajectory, and the truth around it. Raises ConfigError if there is no such moment."""
+    moment_ns = _moment_ns(log, robots, at_s)
     own = own_messages(log, robot, with_states=True)
     state_lines = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
     if not state_lines or not any(line.topic is topics.INPUTS for line in own):
@@ -196,12 +196,14 @@ def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) ->
     yield from log.messages(lambda topic, _: topic is topics.TRUTH, begin_ns, end_ns + 1)
 
 
-def _moment_ns(log: LogFile, robot: int, at_s: float) -> int:
-    """Instant at which the recorder heard of the robot's progress with the formation."""
-    reached_s = 0.0
-    for line in log.messages(lambda topic, of: topic is topics.STATE and of == robot):
-        clock_s = FormationPlans().clock_s(decode(RobotState, line.payload, "log", line.topic.name))
-        if clock_s is not None and clock_s >= at_s:
-            return line.arrived_ns
-        reached_s = max(reached_s, clock_s or 0.0)
-    raise ConfigError(f"{log.path}: at {at_s:g} s there is nothing: robot {robot} came to {reached_s:.2f} s")
+def _moment_ns(log: LogFile, robots: Sequence[int], at_s: float) -> int:
+    """Instant at which the recorder heard of the progress with the formation, of the first robot that was not lost before."""
+    reached_s = dict.fromkeys(robots, 0.0)
+    for robot in robots:
+        for line in log.messages(lambda topic, of, robot=robot: topic is topics.STATE and of == robot):  # type: ignore[misc]
+            clock_s = FormationPlans().clock_s(decode(RobotState, line.payload, "log", line.topic.name))
+            if clock_s is not None and clock_s >= at_s:
+                return line.arrived_ns
+            reached_s[robot] = max(reached_s[robot], clock_s or 0.0)
+    furthest = max(robots, key=lambda robot: reached_s[robot])
+    raise ConfigError(f"{log.path}: at {at_s:g} s there is nothing: robot {furthest} came to {reached_s[furthest]:.2f} s")

@@ -1,6 +1,7 @@
 """SHELL: `sim-bridge compare`: control laws and variants flown on the same seeds, in parallel; the station reports."""
 
 import math
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -121,9 +122,20 @@ def run(
         separation_m=2.0 * plain.safety.radius_m,
         commit=code().commit,
     )
-    replace_text(folder / "comparison.json", comparison.to_json())
+    _write(folder / "comparison.json", comparison.to_json())
     flush()
     return programs.start("groundstation", ["benchmark", "report", str(folder)]).wait()
+
+
+def _write(path: Path, text: str) -> None:
+    """Write what may be hours of flights: where the disk does not take it, into the system's folder for temporary files.
+    Raises ConfigError that says where it is."""
+    try:
+        replace_text(path, text)
+    except OSError as error:
+        spare = Path(tempfile.mkdtemp(prefix="comparison-"))
+        replace_text(spare / path.name, text)
+        raise ConfigError(f"{path}: {error.strerror}; it is in {spare} (groundstation benchmark report {spare})") from None
 
 
 def changes_of(variant: str) -> tuple[str, ...]:

@@ -67,8 +67,8 @@ class Slow(MemoryTransport):
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
         super().subscribe(key, qos, self._queued(deliver))
 
-    def watch(self, key: str, presence: Presence) -> None:
-        super().watch(key, self._queued(presence))
+    def watch(self, key: str, presence: Presence, anew: bool = False) -> None:
+        super().watch(key, self._queued(presence), anew)
 
     def serve(self, key: str, answer: Answer, urgent: Urgent) -> None:
         def late(payload: bytes, header: bytes) -> bytes:

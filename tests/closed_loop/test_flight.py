@@ -33,9 +33,9 @@ def flying(seconds: float = 3.0) -> DryPool:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_pool_scene_is_flown_within_three_centimetres_and_smoothly(seed: int) -> None:
-    pool = DryPool(load_experiment("pool", ["duration_s=45"]), seed)
+    pool = DryPool(load_experiment("pool", ["duration_s=32"]), seed)
     pool.take_off()
-    pool.run(45.0)
+    pool.run(32.0)
     errors = pool.errors()
     settled = errors[400:]
     formation = errors[:, 0] - errors[:, 1]
@@ -45,7 +45,7 @@ def test_the_pool_scene_is_flown_within_three_centimetres_and_smoothly(seed: int
         assert np.all(np.abs(error[400:, :3]) < 0.08)
     still = np.linalg.norm(pool.errors()[400:, :, :2] - settled[:, :, :2].mean(axis=(0, 1)), axis=2)
     assert still.max() < 0.08
-    steps = np.array([[required(s.control).wrench_step for s in robot.states[-500:]] for robot in pool.robots])
+    steps = np.array([[required(s.control).wrench_step for s in robot.states[-240:]] for robot in pool.robots])
     bound = np.array(pool.experiment.wrench_step)
     assert np.all(np.abs(steps) <= bound + 1e-9)
 
@@ -297,9 +297,9 @@ def test_a_formation_that_held_goes_on_where_it_was() -> None:
 
 
 def test_a_current_of_the_robots_own_speed_is_ridden_out() -> None:
-    pool = DryPool(load_experiment("pool", ["duration_s=45", "sim.plant.current_mps=[0.0, 0.014, 0.0]"]), 3)
+    pool = DryPool(load_experiment("pool", ["duration_s=32", "sim.plant.current_mps=[0.0, 0.014, 0.0]"]), 3)
     pool.take_off()
-    pool.run(45.0)
+    pool.run(32.0)
     for i in range(2):
         assert np.all(np.sqrt(np.mean(pool.errors()[400:, i, :2] ** 2, axis=0)) < 0.04)
 

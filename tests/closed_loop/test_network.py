@@ -5,7 +5,6 @@ import os
 import shlex
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from shoal.mavlink.signing_key import new_key
 from sim_bridge.sil.ports import free_port
 from sim_bridge.sil.processes import Child, Children
 from tests.closed_loop.reported import assert_passed
+from tests.forked import ended
 from tests.ssh_server import WITH_PACKAGES, own_wheel, ssh_command, ssh_server
 from tests.waiting import wait_for_line
 
@@ -101,8 +101,8 @@ def deploy(hosts: Hosts, robot: int, settings: list[str]) -> None:
     """Bring a host up to date as a lab does."""
     command = ["deploy", f"{hosts.names[robot]}={robot}", *settings, "--home", str(hosts.home), "--ssh", hosts.ssh]
     command += ["--link", f"udp:{SUBNET}.1:{PORTS + robot}", "--link-key", "link.key"]
-    done = subprocess.run([sys.executable, "-m", "groundstation", *command], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    code, output, errors = ended("groundstation", *command)
+    assert code == 0, output + errors
 
 
 def on_host(children: Children, hosts: Hosts, robot: int, name: str, words: str) -> Child:

@@ -81,7 +81,7 @@ def test_a_formation_that_turns_with_its_path_is_tracked_too() -> None:
 
 def late_errors(*settings: str) -> tuple[float, Array]:
     """Figure of eight after 20 s: RMS of the worse axis and robot, in m, and of the wrench's change per second, (3,)."""
-    flight = flown_once("figure-eight", "duration_s=40", "sim.plant.step_s=0.01", *settings)
+    flight = flown_once("figure-eight", "duration_s=30", "sim.plant.step_s=0.01", *settings)
     change = np.array(
         [[required(state.control).wrench_step for state in states[flight.settled :]] for states in flight.states]
     )

@@ -4,8 +4,6 @@ In lockstep: a slow machine is slow, and no robot is late; at three times real t
 of the flight. The simulated pool tells poses itself."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import pytest
 from shoal.config.experiment import dump_experiment, load_experiment
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Children
+from tests.forked import ended
 from tests.waiting import wait_for_line
 
 pytestmark = pytest.mark.real_time
@@ -21,9 +20,8 @@ pytestmark = pytest.mark.real_time
 
 def run_groundstation(*what: str) -> tuple[int, str]:
     """Exit code and output of a command."""
-    command = [sys.executable, "-m", "groundstation", *what]
-    answer = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
-    return answer.returncode, answer.stdout + answer.stderr
+    code, output, errors = ended("groundstation", *what)
+    return code, output + errors
 
 
 class OperatorLab:

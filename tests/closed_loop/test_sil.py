@@ -6,7 +6,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -269,9 +268,8 @@ def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, m
     run = start(out, "--lockstep", "--manual", "--poses", "--duration", "2")
 
     def order(*what: str) -> tuple[int, str]:
-        command = [sys.executable, "-m", "groundstation", *what]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
-        return done.returncode, done.stdout + done.stderr
+        code, output, errors = ended("groundstation", *what)
+        return code, output + errors
 
     try:
         while not list(out.glob("pool-*")):

@@ -1,4 +1,6 @@
-"""Lockstep flights under two cameras: robots cross from one picture into the other, and one camera goes or is bumped."""
+"""Lockstep flights under two cameras: robots cross from one picture into the other, and one camera goes or is bumped.
+
+The first seven seconds of one flight also stand for the scene's begin as its users fly it (test_scenes.py)."""
 
 from pathlib import Path
 
@@ -68,6 +70,9 @@ def test_robots_cross_over_and_fly_on_when_the_camera_that_they_left_is_gone(tmp
     assert rows["step, hand-over"].poses >= 3 and rows["step, hand-over"].max_mm < 3.0
     assert rows["step, hand-over"].nees < rows["step, hand-over"].nees_high
 
-    out = write_report(tmp_path).cameras_out
+    result = write_report(tmp_path)
+    assert [(fault.time_s, fault.source, fault.text) for fault in result.faults if fault.time_s < GONE_S] == []
+    assert [check.name for check in result.checks if check.failed] == ["faults"]  # that the camera is gone
+    out = result.cameras_out
     assert out["east"] == 0.0 and out["west"] == pytest.approx((9.0 - GONE_S - 0.25) / 9.0, abs=0.03)
     assert "Cameras, share of the flight without their poses: west" in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -1,5 +1,6 @@
 """The key ring on disk: who is in it, who can read it, and that no secret is ever shown."""
 
+import errno
 import json
 import os
 import re
@@ -26,6 +27,7 @@ from groundstation.deploy import certificate_authority, key_ring
 from shoal.bus.key_ring import admitted, read_members
 from shoal.errors import ConfigError
 from shoal.messages.topics import Role
+from shoal.runtime.output_files import replacing
 
 NFT = shutil.which("nft", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 NOW = datetime(2030, 5, 1, 12, 0, 0, tzinfo=UTC)
@@ -166,6 +168,28 @@ def test_a_ring_that_cannot_be_written_or_is_not_there_is_named(ring: Path, tmp_
         key_ring.add(ring, "robot", 1, NOW)
     with pytest.raises(ConfigError, match=r"nowhere: no key ring, members\.toml is missing in it"):
         key_ring.revoke(tmp_path / "nowhere", "agent-1", NOW)
+
+
+@pytest.mark.parametrize("whole", [0, 1, 2])
+def test_a_ring_whose_making_was_cut_short_is_made_by_another_try(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: int
+) -> None:
+    """A full disk takes the first files, and not the next."""
+    written = 0
+
+    def fails(path: Path, *arguments: Any, **options: Any) -> Any:
+        nonlocal written
+        written += 1
+        if written > whole:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return replacing(path, *arguments, **options)
+
+    with monkeypatch.context() as disk:
+        disk.setattr(key_ring, "replacing", fails)
+        with pytest.raises(ConfigError, match="No space left on device"):
+            key_ring.init(tmp_path, [], "shoal", NOW)
+    assert len(key_ring.init(tmp_path, [], "shoal", NOW)) == 5
+    assert read_members(tmp_path).valid(NOW)
 
 
 def test_harmful_key_ring_requests_are_refused(ring: Path) -> None:

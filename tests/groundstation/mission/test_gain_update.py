@@ -252,6 +252,19 @@ def test_a_robot_that_comes_back_gets_the_gains_of_the_fleet(mode: Mode, taken: 
     assert (fleet.flown == {fleet.tuner.status().flown.id}) is taken
 
 
+def test_a_robot_outside_the_formation_that_does_not_answer_keeps_no_change_waiting() -> None:
+    """It is heard, with other gains, and no command reaches it."""
+    fleet = TunedFleet()
+    fleet.robots[2].tuning_id, fleet.robots[2].mute = "other", frozenset({CommandKind.TUNE})
+    fleet.step(3.0)
+    assert CommandKind.TUNE in fleet.orders(2)
+    formation = {1: fleet.views()[1]}
+    assert fleet.tuner.request({KEY: VALUE}, formation, round(fleet.now_s * 1e9), {}) == ""
+    wanted = fleet.tuner.status().wanted
+    fleet.step(2.0)
+    assert fleet.robots[1].tuning_id == wanted == fleet.tuner.status().flown.id
+
+
 def test_a_late_reply_about_another_gain_set_is_ignored() -> None:
     fleet = TunedFleet()
     fleet.request()

@@ -99,6 +99,29 @@ def test_a_state_that_comes_late_confirms_a_request_that_was_made_before_it_was_
     assert progress == [Progress.UNDER_WAY, Progress.DONE]
 
 
+def test_a_robot_that_restarts_before_anybody_hears_that_it_was_armed_is_not_armed_again() -> None:
+    run = LedRun()
+    assert run.ask(CommandKind.ARM) == ""
+    while run.robots[2].mode is not Mode.ARMED:
+        run.step()
+    run.robots[2].mode = Mode.DISARMED
+    run.step(1.0)
+    assert run.got(2).count(CommandKind.ARM) == 1 and run.in_mode(2, Mode.DISARMED)
+    assert run.single.tasks[2].reason == "robot 2 is DISARMED again"
+
+
+def test_a_robot_that_has_failed_or_was_armed_meanwhile_is_not_sent_arm() -> None:
+    """Restarted, it would be armed by a request made before."""
+    for mode in (Mode.FAULT, Mode.STOPPED, Mode.TRACKING):
+        run = LedRun()
+        run.robots[2].refuses = frozenset({CommandKind.ARM})
+        assert run.ask(CommandKind.ARM) == ""
+        run.step(0.2)
+        run.robots[2].mode, tries = mode, run.got(2).count(CommandKind.ARM)
+        run.step(1.0)
+        assert run.got(2).count(CommandKind.ARM) == tries
+
+
 def test_a_velocity_that_is_not_repeated_ends_in_a_hold() -> None:
     run = LedRun()
     run.ask(CommandKind.ARM)

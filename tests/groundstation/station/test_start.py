@@ -17,6 +17,7 @@ from shoal.bus.endpoint import Endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.messages.messages import Command, CommandKind
 from sim_bridge.sil.ports import free_port
+from tests.forked import ended
 from tests.waiting import eventually
 
 pytestmark = pytest.mark.real_time
@@ -27,11 +28,9 @@ def test_a_start_with_a_taken_page_address_is_refused_and_leaves_no_folder(tmp_p
         web = f"127.0.0.1:{taken.getsockname()[1]}"
         listen = f"tcp/127.0.0.1:{free_port()}"
         command = ["run", "pool", "--out", str(tmp_path / "runs"), "--listen", listen, "--web", web]
-        done = subprocess.run(
-            [sys.executable, "-m", "groundstation", *command], capture_output=True, text=True, check=False, timeout=120
-        )
-    assert done.returncode == 2
-    assert f"--web {web}: Address already in use" in done.stderr
+        code, _, errors = ended("groundstation", *command)
+    assert code == 2
+    assert f"--web {web}: Address already in use" in errors
     assert not (tmp_path / "runs").exists()
 
 

@@ -59,6 +59,13 @@ def test_replay_begins_where_the_robots_start_to_fly(replay: ReplayBackend) -> N
     assert [path["robot"] for path in replay.scene()["paths"]] == [1, 2]
 
 
+def test_replay_begins_where_any_robot_starts_to_fly(tmp_path: Path) -> None:
+    """The first one was out of the water."""
+    write_run(tmp_path, Script(duration_s=5.0, lost=((1, 0.0, 60.0),)))
+    with ReplayBackend(tmp_path) as replay:
+        assert replay.scene()["replay"]["begin_s"] == pytest.approx(START_S + 0.05, abs=0.01)
+
+
 @pytest.mark.parametrize("order", [(3.0, 12.5, 25.0), (25.0, 3.0, 12.5)])
 def test_seeking_shows_the_states_of_that_time(replay: ReplayBackend, order: tuple[float, ...]) -> None:
     for flown_s in order:

@@ -380,6 +380,59 @@ def test_while_dragging_the_newest_edit_is_answered(lab: ServedStation) -> None:
     assert last["ok"] and last["figures"][2]["value"] == pytest.approx(0.439 * 3.14159265 / 100, rel=1e-5)
 
 
+def test_an_answer_about_an_older_edit_never_comes_last(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page shows the answer to its newest question alone: with an older one behind it, it would wait for ever."""
+    begun, release = threading.Event(), threading.Event()
+
+    def judged(experiment: Experiment, edit: protocol.Edit) -> dict[str, Any]:
+        if edit.scale is None:
+            begun.set()
+            release.wait(PATIENCE_S)
+        return {"ok": True, "problems": []}
+
+    monkeypatch.setattr("groundstation.web.client_hub.attempt", judged)
+    monkeypatch.setattr(LiveBackend, "remark", lambda self, text: time.sleep(0.3))
+    page = lab.open()
+    page.hello()
+    page.say(kind="remark", text="a busy machine: what follows is taken in at once")
+    for n in range(1, 10):
+        page.say(kind="try", n=n, edit={})
+    assert begun.wait(PATIENCE_S)
+    time.sleep(0.2)  # all of them are taken in
+    page.say(kind="try", n=40, edit={"scale": 1.0})
+    threading.Timer(0.5, release.set).start()
+    numbers = [page.until(lambda f: f["k"] == "tried")["n"]]
+    while numbers[-1] != 40:
+        numbers.append(page.until(lambda f: f["k"] == "tried")["n"])
+    assert len(numbers) > 1 and numbers == sorted(numbers)
+
+
+@pytest.mark.parametrize(
+    ("broken", "request_of_page"),
+    [
+        ("attempt", {"kind": "try", "edit": {}}),
+        ("drafted", {"kind": "draft", "order": "formation", "text": "line 0.8"}),
+        ("save", {"kind": "save", "edit": {}, "name": "x"}),
+        ("flight_text", {"kind": "order", "order": "formation", "text": "line 0.8"}),
+    ],
+)
+def test_a_request_that_an_error_ends_is_numbers_with_the_reason(
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch, broken: str, request_of_page: dict[str, Any]
+) -> None:
+    def fails(*arguments: Any) -> Any:
+        raise KeyError("a bug")
+
+    monkeypatch.setattr(f"groundstation.web.client_hub.{broken}", fails)
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    stamp = {"seen_ms": page.clock_ms} if request_of_page["kind"] == "order" else {}
+    page.say(n=7, **request_of_page, **stamp)
+    answer = page.until(lambda f: f.get("n") == 7)
+    assert not answer["ok"] and "a bug" in str(answer.get("problems", answer.get("reason")))
+
+
 def test_an_unusable_certificate_is_refused_at_start(lab: ServedStation, tmp_path: Path) -> None:
     """Not a line in the log, and then a station without a page that says where its page is."""
     (none := tmp_path / "none.pem").write_text("no certificate\n")

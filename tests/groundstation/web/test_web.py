@@ -86,6 +86,15 @@ def test_notes_without_end_keep_no_state_waiting() -> None:
     assert sent == [body for k in range(10) for body in (b"note", b"%d" % k)]
 
 
+def test_no_number_of_notes_drops_an_answer() -> None:
+    window = SendWindow()
+    window.answer(b"asked for")
+    for _ in range(2 * MOST_NOTES):
+        window.note(b"note")
+    window.answer(b"asked for later")
+    assert [window.next(0.0), window.next(0.0)] == [(1, b"asked for"), (2, b"asked for later")]
+
+
 def test_a_stopped_page_costs_a_bounded_memory() -> None:
     window = SendWindow()
     for k in range(3 * MOST_NOTES):

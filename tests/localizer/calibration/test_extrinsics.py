@@ -232,6 +232,18 @@ def test_a_mirrored_pool_is_refused() -> None:
             fit_pose(truth, _points([tuple((np.array(place) * flip).tolist()) for place in places]), pixels)
 
 
+@pytest.mark.parametrize("places", [[(x, y, 0.0) for x, y, _ in RIM], RIM, RIM + FLOOR])
+def test_a_mirrored_picture_of_a_camera_on_the_plumb_line_is_refused(places: list[tuple[float, float, float]]) -> None:
+    """To the pixel it is explained by a camera that looks up, away from the pool."""
+    plain = {"focal_px": (790.0, 790.0), "centre_px": (639.5, 479.5), "distortion": (0.0,) * 5}
+    truth = POOL.model_copy(update=plain | {"rotation_rad": (0.0, 0.0, 0.0), "position_m": (0.0, 0.0, -2.8)})
+    pixels = project(truth, np.array(places))
+    assert fit_pose(truth, _points(places), pixels).rms_px < 0.1
+    pixels[:, 1] = truth.size_px[1] - 1.0 - pixels[:, 1]
+    with pytest.raises(ConfigError, match=r"points: no .*camera"):
+        fit_pose(truth, _points(places), pixels)
+
+
 def test_swapped_points_are_refused() -> None:
     truth, places = _hung(0), RIM + FLOOR
     pixels = project(truth, np.array(places))[[1, 0, *range(2, len(places))]]

@@ -52,6 +52,14 @@ def test_outlines_and_origin_lie_where_the_camera_sees_them(camera: Camera) -> N
         assert _share(picture, camera, (x, y, 0.0), MARK) > 0.5
 
 
+def test_a_camera_that_looks_away_shows_nothing_of_the_pool() -> None:
+    pool, camera = load_experiment("pool").pool, load_experiment("pool").camera
+    away = camera.model_copy(update={"rotation_rad": (0.0, np.pi, 0.0)})
+    picture = np.zeros((camera.size_px[1], camera.size_px[0], 3), np.uint8)
+    draw_grid(picture, away, pool, 0.3)
+    assert not picture.any() and view_figures(away, pool, 0.3).seen_share == 0.0
+
+
 def test_a_lens_that_folds_over_draws_nothing_that_is_not_there() -> None:
     """r (1 - 0.35 r^2) turns back at r = 0.98: walls beyond would come back into the picture."""
     camera = EXPERIMENT.camera.model_copy(update={"focal_px": (900.0, 900.0), "distortion": (-0.35, 0.0, 0.0, 0.0, 0.0)})

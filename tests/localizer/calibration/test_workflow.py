@@ -307,6 +307,7 @@ def test_file_that_would_be_lost_is_not_written_over(
     for text, complaint in (
         ((EXPERIMENTS / "pool.toml").read_text(encoding="utf-8"), "holds something else than a camera"),
         (tomli_w.dumps({"camera": {"size_px": [640, 480]}}), "holds a camera with pictures of 640x480, these are 480x360"),
+        (tomli_w.dumps({"camera": {"size_px": 640}}), "holds a camera with pictures of ?, these are 480x360"),
     ):
         out.write_text(text, encoding="utf-8")
         assert _calibrate(monkeypatch, lab, out) == 2

@@ -366,8 +366,8 @@ def test_an_agent_whose_presence_is_told_late_is_found(monkeypatch: pytest.Monke
         def __init__(self, *arguments: object, **options: object) -> None:
             super().__init__(hub)
 
-        def watch(self, key: str, presence: Presence) -> None:
-            threading.Timer(0.1, super().watch, (key, presence)).start()
+        def watch(self, key: str, presence: Presence, anew: bool = False) -> None:
+            threading.Timer(0.1, super().watch, (key, presence, anew)).start()
 
     def beat() -> None:
         while not stop.wait(0.01):

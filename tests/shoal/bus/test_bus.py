@@ -15,14 +15,14 @@ import pytest
 import zenoh
 
 from shoal.bus import zenoh_transport
-from shoal.bus.bus import Bus
+from shoal.bus.bus import LOOK_AGAIN_S, Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
-from shoal.bus.transport import Unreached
+from shoal.bus.transport import Presence, Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.errors import ConfigError
 from shoal.messages import messages, topics
-from shoal.messages.codec import Header, encode
+from shoal.messages.codec import Header, decode, encode
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
 
@@ -351,6 +351,29 @@ def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any
     assert robot.orders == [(HOLD if k % 3 else TUNE).order for k in range(8)]
 
 
+def test_a_simulator_that_is_started_again_is_told_of_no_fault_from_before(make_bus: MakeBus) -> None:
+    station = make_bus()
+
+    def simulator() -> list[str]:
+        faults: list[str] = []
+        make_bus().subscribe(
+            topics.FAULT,
+            None,
+            lambda topic, key, header, payload: faults.append(decode(messages.FaultRequest, payload, "", "").what),
+        )
+        return faults
+
+    def breaks(what: str, faults: list[str]) -> bool:
+        station.publish(topics.FAULT, messages.FaultRequest(what), 1)
+        return eventually(lambda: what in faults, 0.5)
+
+    first = simulator()
+    assert eventually(lambda: breaks("thruster 1/2 dead", first))
+    again = simulator()
+    assert eventually(lambda: breaks("thruster 1/3 dead", again))
+    assert set(again) == {"thruster 1/3 dead"}
+
+
 def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> None:
     """A robot that is met for the first time is asked who it is: by then another order may have been given."""
     station, robot = make_bus(), Obeying(make_bus())
@@ -510,6 +533,31 @@ def test_a_name_is_free_when_its_process_is_gone(
     other.send_signal(how)
     bus.claim("agent-1", bool)
     bus.announce("agent-1")
+
+
+class LateNews(MemoryTransport):
+    """A network that remembers a process that has just ended."""
+
+    def __init__(self, hub: MemoryHub, token: str, after_s: float) -> None:
+        super().__init__(hub)
+        self._token, self._after_s = token, after_s
+
+    def watch(self, key: str, presence: Presence, anew: bool = False) -> None:
+        super().watch(key, presence, anew)
+        if not anew and key.startswith("shoal/claim/"):
+            threading.Timer(self._after_s, presence, (self._token, True)).start()
+
+
+def test_a_process_that_ended_while_it_was_looked_for_does_not_keep_its_name() -> None:
+    with Bus(LateNews(MemoryHub(), "shoal/claim/agent-1/holder/1", 0.0)) as bus:
+        bus.claim("agent-1", bool, patience_s=2.0 * LOOK_AGAIN_S)
+
+
+def test_a_process_that_is_gone_does_not_act_by_turns(caplog: pytest.LogCaptureFixture) -> None:
+    with Bus(LateNews(MemoryHub(), "shoal/claim/agent-1/holder/1", 0.5)) as bus:
+        bus.claim("agent-1", bool)
+        time.sleep(1.0)
+    assert "act by turns" not in caplog.text
 
 
 def test_of_several_that_claim_a_name_together_one_gets_it() -> None:

@@ -49,6 +49,8 @@ def test_udp_carries_bytes_both_ways_and_survives_a_board_that_comes_late() -> N
         for _ in range(3):  # nobody listens: refused, and not an error
             link.send(b"hello")
             assert link.read() == b""
+        for _ in range(3):  # the second one is told of the first
+            link.send(b"hello")
         assert "nothing listens on that port" in link.trouble
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
             board.bind(("127.0.0.1", port))

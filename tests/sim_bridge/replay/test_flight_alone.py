@@ -43,6 +43,14 @@ def test_a_replay_begins_with_the_run(run: Path) -> None:
         assert replay.snapshot()["replay"]["time_s"] == pytest.approx(ALONE_S)
 
 
+def test_a_moment_is_found_though_the_first_robot_did_not_come_so_far(run: Path) -> None:
+    """It was led away, or was lost, and the others went on."""
+    with open_log(run) as log, pytest.raises(ConfigError, match="holds no inputs of robot 2 before 1 s"):
+        list(lines_until(log, [2, 1], 1.0, 2))
+    with open_log(run) as log, pytest.raises(ConfigError, match=r"at 4 s there is nothing: robot 1 came to 2\.00 s"):
+        list(lines_until(log, [2, 1], 4.0, 2))
+
+
 def test_a_moment_of_the_run_is_none_of_the_flight_before_it(run: Path) -> None:
     with (
         open_log(run) as log,

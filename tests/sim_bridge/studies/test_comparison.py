@@ -3,6 +3,7 @@
 import math
 import os
 import subprocess
+import tempfile
 import tomllib
 from dataclasses import replace
 from itertools import pairwise
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from rich.console import Console
 
 from groundstation.analysis.comparison import Comparison, Variant
 from groundstation.planning import planner
@@ -19,6 +21,7 @@ from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_exp
 from shoal.errors import ConfigError
 from shoal.messages.messages import required
 from shoal.runtime.version import code
+from sim_bridge.studies import comparison
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.flights.scene_flights import flown_once
 from tests.forked import ended
@@ -167,6 +170,16 @@ class Hasty:
     def learn(self, *_: object) -> None: ...
 
     def reset(self) -> None: ...
+
+
+@pytest.mark.long
+def test_flights_are_kept_elsewhere_where_the_disk_does_not_take_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with pytest.raises(ConfigError, match=r"gone/comparison.json: No such file or directory; it is in (\S+) \(") as refusal:
+        comparison.run("numeric", ["duration_s=20.5"], ["nmpc"], [1], 0.0, 1, tmp_path / "gone", Console(quiet=True))
+    (kept,) = tmp_path.glob("comparison-*/comparison.json")
+    assert str(kept.parent) in str(refusal.value)
+    assert [variant.name for variant in Comparison.from_json(kept.read_text()).variants] == ["nmpc"]
 
 
 def test_a_law_that_loses_its_robots_is_compared_and_said_to_have_failed() -> None:
