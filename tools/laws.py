@@ -16,7 +16,7 @@ import matplotlib as mpl
 from benchmarks import evidence
 from groundstation.analysis.comparison import Comparison
 from groundstation.report.controller_comparison import COLUMNS, cells, errors, failures, wanted
-from groundstation.report.plotting import STYLE
+from groundstation.report.plotting import STYLE, picture
 from shoal.system import programs
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -78,7 +78,8 @@ def files() -> dict[Path, str]:
 
 
 def _pictures(first: Comparison, second: Comparison) -> None:
-    for name, figure in (("errors", errors(first)), ("inputs", wanted(second))):
+    for name, drawing in (("errors", errors(first)), ("inputs", wanted(second))):
+        figure = picture(drawing)
         if figure is not None:
             with mpl.rc_context(STYLE):
                 figure.savefig(DOCS / "images" / f"laws-{name}.png", dpi=110)

@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from groundstation.analysis import alignment
 from groundstation.logs.reader import read_log
 from groundstation.report import figures_paths
+from groundstation.report.plotting import picture
 from shoal.config.experiment import load_experiment
 from shoal.messages import codec, topics
 from shoal.messages.messages import Preview
@@ -23,7 +24,8 @@ def main(run: Path) -> None:
     with (run / "run.mcap").open("rb") as file:
         previews = [m.data for _, c, m in make_reader(file).iter_messages() if c.topic.endswith(topics.PREVIEW.name)]
     jpeg = codec.decode(Preview, previews[round(SHOW_AT * len(previews))], str(run), topics.PREVIEW.name).jpeg
-    flown = figures_paths.paths(alignment.align(load_experiment(str(run / "experiment.toml")), read_log(run / "run.mcap")))
+    series = alignment.align(load_experiment(str(run / "experiment.toml")), read_log(run / "run.mcap"))
+    flown = picture(figures_paths.paths(series))
     assert flown is not None, "the run has no paths to show"
     png = io.BytesIO()
     flown.savefig(png, format="png", dpi=200, bbox_inches="tight")

@@ -31,15 +31,21 @@ MEASURES = {
 }
 TIMINGS = ("step_p50_us", "step_p99_us")  # the machine's: two flights with the same seed have others
 
-# Names of axes and columns, for the measures that are compared.
+# Names of axes and columns.
 LABELS = {
     "rms_m": "RMS error",
     "rms_after_20s_m": "RMS error after 20 s",
     "max_after_20s_m": "Largest error after 20 s",
     "rms_yaw_after_20s_rad": "RMS heading error after 20 s",
+    "arrived_m": "Distance at the end",
+    "min_separation_m": "Least distance of two centres",
+    "min_clearance_m": "Least distance of a hull",
     "wrench_step_rms": "RMS input change, of the limit",
     "step_p50_us": "Control step, median",
     "step_p99_us": "Control step, 99 %",
+    "at_fault": "Control steps at fault",
+    "off_track": "Control steps not tracking",
+    "unsolved": "Control steps not solved",
 }
 
 

@@ -14,6 +14,7 @@ from groundstation.analysis.series import TimelineEvent
 from shoal.config.experiment import ArticleRow
 
 Three = tuple[float, float, float]
+MODE_TEXTS = {"lockstep": "simulated time", "real-time": "by the wall clock"}  # a lockstep run may go as fast as the clock
 WHOLE_RUN = "whole run flown"  # name of the check by which a flight went all its way
 
 
@@ -183,6 +184,11 @@ class Result:
         """The rows of tables by name: robots, then pairs."""
         robots = {f"robot {name}": robot for name, robot in self.robots.items()}
         return {**robots, **{f"pair {name}": pair for name, pair in self.pairs.items()}}
+
+    @property
+    def mode_text(self) -> str:
+        """The kind of time that the run had, for people."""
+        return MODE_TEXTS.get(self.mode, self.mode)
 
     @property
     def is_whole(self) -> bool:

@@ -1,6 +1,8 @@
 """SHELL: commands for recorded runs: `groundstation log report|compare|export|repair`, and `benchmark report`."""
 
 import json
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +13,8 @@ from shoal.runtime.cli_options import AsJson, RunFolder, as_run
 from shoal.runtime.output import terminal
 from shoal.runtime.output_files import RUN, check_output
 from shoal.system.printable import printable
+
+PROGRESS_S = 10.0  # between two lines about a film that is being written
 
 
 def report(
@@ -118,7 +122,7 @@ def export(
         raise typer.BadParameter("either --out FOLDER or --video FILE")
     if video is not None:
         check_output(video, [run_folder / name for name in RUN])
-        count, left_out = film.write_film(run_folder, video, camera)
+        count, left_out = film.write_film(run_folder, video, camera, _progress_of_film(video))
         typer.echo(f"{video}: {count} pictures")
         if left_out:
             typer.echo(f"{left_out} pictures of the log cannot be decoded, and are left out", err=True)
@@ -143,6 +147,20 @@ def export(
         for path, rows in written:
             typer.echo(path if rows is None else f"{path}: {rows} rows")
     raise typer.Exit(1 if trouble else 0)
+
+
+def _progress_of_film(video: Path) -> Callable[[int, int], None]:
+    """A line on standard error every few seconds: a long film takes minutes."""
+    begin_s = said_s = time.monotonic()
+
+    def report(written: int, of: int) -> None:
+        nonlocal said_s
+        now_s = time.monotonic()
+        if now_s - said_s >= PROGRESS_S:
+            said_s, left_s = now_s, (now_s - begin_s) * (of / written - 1.0)
+            typer.echo(f"{video}: {written} of {of} pictures, about {left_s:.0f} s left", err=True)
+
+    return report
 
 
 def repair(

@@ -6,8 +6,8 @@ Circles are the robots' own estimates, crosses their references, lines where the
 """
 
 import importlib
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -36,9 +36,11 @@ RING = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 3
 FLIES = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
 
 
-def write_film(run: Path, out: Path, camera: str = "") -> tuple[int, int]:
-    """Write the film of one camera; returns the number of its pictures, and of those of the log that cannot be decoded. Raises
-    ConfigError where the log holds none."""
+def write_film(
+    run: Path, out: Path, camera: str = "", report: Callable[[int, int], None] = lambda written, of: None
+) -> tuple[int, int]:
+    """Write the film of one camera; returns the number of its pictures, and of those of the log that cannot be decoded.
+    `report` is told of each picture how many are written, and of how many. Raises ConfigError where the log holds none."""
     try:
         av: Any = importlib.import_module("av")
     except ModuleNotFoundError:
@@ -55,7 +57,8 @@ def write_film(run: Path, out: Path, camera: str = "") -> tuple[int, int]:
     written, begin_ns, pts = 0, 0, -1
     with open_log(run) as log, replacing(out) as file, av.open(file, "w", format="mp4") as film:
         stream: Any = None
-        for stamp_ns, picture in _pictures(log, clocks, overlay, av, camera, stamps_ns):
+        chosen, total = _best_film(log, camera)
+        for stamp_ns, picture in _pictures(log, clocks, overlay, av, camera, chosen, stamps_ns):
             if stream is None:
                 stream = film.add_stream("libx264", rate=20)
                 stream.width, stream.height, stream.pix_fmt = picture.width & ~1, picture.height & ~1, "yuv420p"
@@ -66,6 +69,7 @@ def write_film(run: Path, out: Path, camera: str = "") -> tuple[int, int]:
             frame.pts, frame.time_base = pts, Fraction(1, CLOCK_HZ)
             film.mux(stream.encode(frame))
             written += 1
+            report(written, max(written, total))
         if stream is None:
             raise ConfigError(
                 f"{run}: the log holds no pictures of the camera (recording.video or recording.preview keep them)"
@@ -74,15 +78,19 @@ def write_film(run: Path, out: Path, camera: str = "") -> tuple[int, int]:
     return written, len(stamps_ns) - written
 
 
+def _best_film(log: LogFile, camera: str) -> tuple[str, int]:
+    """Name of the topic with the best pictures of a camera that the log holds, and how many; "" and 0 without any."""
+    films = [topic.of_camera(camera).name for topic in (topics.VIDEO, topics.PICTURE, topics.PREVIEW)]
+    held = Counter(line.topic.name for line in log.messages(lambda topic, _: topic.name in films))
+    return next(((name, held[name]) for name in films if name in held), ("", 0))
+
+
 def _pictures(
-    log: LogFile, clocks: SessionClocks, overlay: "Overlay", av: Any, camera: str, stamps_ns: list[int]
+    log: LogFile, clocks: SessionClocks, overlay: "Overlay", av: Any, camera: str, chosen: str, stamps_ns: list[int]
 ) -> Iterator[tuple[int, Image.Image]]:
-    """Stamp on the recorder's clock and picture of the best film that the log holds; what robots and station say on the way
+    """Stamp on the recorder's clock and picture of a film in the log; what robots and station say on the way
     goes to the overlay. `stamps_ns` takes the stamps of all pictures, also of those that cannot be decoded."""
-    films = {topic.of_camera(camera).name: topic for topic in (topics.VIDEO, topics.PICTURE, topics.PREVIEW)}
-    held = {line.topic.name for line in log.messages(lambda topic, _: topic.name in films)}
-    chosen = next((name for name in films if name in held), "")
-    codec = av.CodecContext.create("h264" if films.get(chosen) is topics.VIDEO else "mjpeg", "r")
+    codec = av.CodecContext.create("h264" if chosen == topics.VIDEO.of_camera(camera).name else "mjpeg", "r")
     wanted = {chosen, topics.STATE.name, topics.HEARTBEAT.name}
     for line in log.messages(lambda topic, _: topic.name in wanted):
         try:

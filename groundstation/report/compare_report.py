@@ -20,7 +20,7 @@ from groundstation.report.controller_comparison import (
     step_cells,
     wanted,
 )
-from groundstation.report.plotting import to_svg
+from groundstation.report.plotting import on_page
 from groundstation.report.report import environment, saving_script
 from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
@@ -29,7 +29,13 @@ from shoal.system.regular_files import read_regular
 
 FIGURES = (
     ("errors", "Errors, law by law", "A dot per seed; bars are means with their 95 % confidence intervals.", errors),
-    ("course", "Over time", "On the first seed. What comes after the dotted line is in the columns after 20 s.", course),
+    (
+        "course",
+        "Over time",
+        "Distance from the reference, RMS over the robots, on the first seed. "
+        "What comes after the dotted line is in the columns after 20 s.",
+        course,
+    ),
     (
         "wanted",
         "What the laws want, and what they get",
@@ -114,5 +120,5 @@ def _render(comparison: Comparison, failed: list[str]) -> str:
         script=Markup(saving_script()),
         closest=closest(comparison),
         # our own figures, with texts that matplotlib has escaped
-        figures=[(n, t, c, Markup(to_svg(figure, n))) for n, t, c, figure in drawn if figure is not None],
+        figures=[(n, t, c, Markup(on_page(figure, n))) for n, t, c, figure in drawn if figure is not None],
     )

@@ -3,25 +3,35 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.textpath import TextPath
 from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
 from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightMetrics, Traces, Variant
 from groundstation.analysis.statistics import NOTHING, Interval, mean
 from groundstation.palette import COLOURS, colour
-from groundstation.report.drawing import Curve, Panel, TimePlot
-from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, TOP_IN, WIDTH_IN, legend, picture
+from groundstation.report.drawing import Curve, Panel, PaperFigure, TimePlot
+from groundstation.report.plotting import (
+    BOTTOM_IN,
+    GREY,
+    LEGEND_ROW_IN,
+    RIGHT_IN,
+    STYLE,
+    TIME_LABEL,
+    TOP_IN,
+    WIDTH_IN,
+    legend,
+    stack,
+)
 
-NAMES_IN = 1.75  # room for the variants' names
+NAMES_IN = 1.75  # the most room for the variants' names
 ROW_IN = 0.27
 SOLID, DASHED = "-", "--"
 PLAIN = FormatStrFormatter("%g")  # of logarithmic axes
-BEHIND_NAME: Any = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
 
 
 @dataclass(frozen=True)
@@ -118,44 +128,50 @@ def closest(comparison: Comparison) -> list[tuple[str, float]]:
 # --- figures
 
 
-def errors(comparison: Comparison) -> Figure:
+def errors(comparison: Comparison) -> PaperFigure:
     """Every flight as a dot, means with their intervals, on logarithmic axes."""
+    return PaperFigure(partial(_errors, comparison))
+
+
+def _errors(comparison: Comparison, width_in: float) -> Figure:
     keys = [c for c in COLUMNS if c.key in ("rms_m", "rms_after_20s_m", "formation_after_20s_m")]
     keys = keys if len(comparison.robots) > 1 else keys[:2]
-    figure, grid = _rows_of(comparison, len(keys))
-    with mpl.rc_context(STYLE):
-        for axes, c in zip(grid, keys, strict=True):
-            for i, variant in enumerate(comparison.variants):
-                values = c.scale * np.maximum(column(variant, c.key), 1e-6)
-                tone = colour(i)
-                axes.plot(values, np.full(len(values), i), "o", color=tone, markersize=4.0, alpha=0.4, markeredgewidth=0.0)
-                centre = mean(values.tolist())
-                if centre.low is not None and centre.high is not None:
-                    axes.plot([centre.low, centre.high], [i, i], color=tone, linewidth=1.6)
-                axes.plot(centre.value, i, "|", color=tone, markersize=11, markeredgewidth=1.8)
-            axes.set_xscale("log")
-            axes.xaxis.set_major_formatter(PLAIN)
-            axes.xaxis.set_minor_formatter(NullFormatter())
-            axes.set_xlabel(f"RMS, {c.heading} [{c.unit}]")
+    figure, grid = _rows_of(comparison, len(keys), width_in)
+    for axes, c in zip(grid, keys, strict=True):
+        for i, variant in enumerate(comparison.variants):
+            values = c.scale * np.maximum(column(variant, c.key), 1e-6)
+            tone = colour(i)
+            axes.plot(values, np.full(len(values), i), "o", color=tone, markersize=4.0, alpha=0.4, markeredgewidth=0.0)
+            centre = mean(values.tolist())
+            if centre.low is not None and centre.high is not None:
+                axes.plot([centre.low, centre.high], [i, i], color=tone, linewidth=1.6)
+            axes.plot(centre.value, i, "|", color=tone, markersize=11, markeredgewidth=1.8)
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(PLAIN)
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xlabel(f"RMS, {c.heading} [{c.unit}]")
     return figure
 
 
-def demands(comparison: Comparison) -> Figure:
+def demands(comparison: Comparison) -> PaperFigure:
     """Share of control steps in which more was wanted than is allowed, and how much input changes."""
-    figure, (left, right) = _rows_of(comparison, 2, TOP_IN)
-    with mpl.rc_context(STYLE):
-        for i, variant in enumerate(comparison.variants):
-            for shift, key, tone in ((-0.2, "wanted_too_large", COLOURS[1]), (0.2, "wanted_too_fast", COLOURS[4])):
-                share = mean([100.0 * v for v in column(variant, key)])
-                name = {"wanted_too_large": "too large", "wanted_too_fast": "too fast"}[key] if i == 0 else ""
-                left.barh(i + shift, share.value, 0.36, color=tone, xerr=_bars(share), ecolor=GREY, label=name)
-            wear = mean([100.0 * v for v in column(variant, "input_step_rms")])
-            right.barh(i, wear.value, 0.6, color=colour(i), xerr=_bars(wear), ecolor=GREY)
-        left.set_xlabel("wanted beyond limits [% of steps]")
-        right.set_xlabel("applied change per step [% of limit, RMS]")
-        legend(figure, left)
-        for axes in (left, right):
-            axes.set_xlim(left=0.0)
+    return PaperFigure(partial(_demands, comparison))
+
+
+def _demands(comparison: Comparison, width_in: float) -> Figure:
+    figure, (left, right) = _rows_of(comparison, 2, width_in, TOP_IN)
+    for i, variant in enumerate(comparison.variants):
+        for shift, key, tone in ((-0.2, "wanted_too_large", COLOURS[1]), (0.2, "wanted_too_fast", COLOURS[4])):
+            share = mean([100.0 * v for v in column(variant, key)])
+            name = {"wanted_too_large": "too large", "wanted_too_fast": "too fast"}[key] if i == 0 else ""
+            left.barh(i + shift, share.value, 0.36, color=tone, xerr=_bars(share), ecolor=GREY, label=name)
+        wear = mean([100.0 * v for v in column(variant, "input_step_rms")])
+        right.barh(i, wear.value, 0.6, color=colour(i), xerr=_bars(wear), ecolor=GREY)
+    left.set_xlabel("wanted beyond limits [% of steps]")
+    right.set_xlabel("RMS change per step [% of limit]")
+    legend(figure, left)
+    for axes in (left, right):
+        axes.set_xlim(left=0.0)
     return figure
 
 
@@ -166,54 +182,68 @@ def _bars(interval: Interval) -> list[list[float]] | None:
     return [[max(interval.value - interval.low, 0.0)], [max(interval.high - interval.value, 0.0)]]  # of equal values: rounding
 
 
-def _rows_of(comparison: Comparison, count: int, top_in: float = 0.15) -> tuple[Figure, Sequence[Axes]]:
-    """A figure whose axes share a row per variant."""
-    rows = len(comparison.variants)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, top_in + BOTTOM_IN + ROW_IN * rows))
-        grid = figure.subplots(1, count, sharey=True, squeeze=False)[0]
-        width_in, height_in = figure.get_size_inches()
-        figure.subplots_adjust(
-            left=NAMES_IN / width_in,
-            right=1 - RIGHT_IN / width_in,
-            top=1 - top_in / height_in,
-            bottom=BOTTOM_IN / height_in,
-            wspace=0.08,
-        )
-        grid[0].set_yticks(range(rows), [variant.name for variant in comparison.variants])
-        grid[0].set_ylim(rows - 0.5, -0.5)
-        for axes in grid:
-            axes.tick_params(axis="y", length=0)
+def _rows_of(comparison: Comparison, count: int, width_in: float, top_in: float = 0.15) -> tuple[Figure, Sequence[Axes]]:
+    """A figure whose axes share a row per variant; on one column's width one below the other."""
+    rows, names = len(comparison.variants), [variant.name for variant in comparison.variants]
+    down, across = (1, count) if width_in == WIDTH_IN else (count, 1)
+    each_in = ROW_IN * rows
+    figure = Figure(figsize=(width_in, top_in + down * (BOTTOM_IN + each_in)))
+    grid = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
+    height_in = float(figure.get_size_inches()[1])
+    figure.subplots_adjust(
+        left=min(max(map(_width_in, names)) + 0.1, NAMES_IN) / width_in,
+        right=1 - RIGHT_IN / width_in,
+        top=1 - top_in / height_in,
+        bottom=BOTTOM_IN / height_in,
+        wspace=0.08,
+        hspace=BOTTOM_IN / each_in,
+    )
+    grid[0].set_yticks(range(rows), names)
+    grid[0].set_ylim(rows - 0.5, -0.5)
+    for axes in grid:
+        axes.tick_params(axis="y", length=0)
     return figure, list(grid)
 
 
-def course(comparison: Comparison) -> Figure | None:
+def _width_in(name: str) -> float:
+    """Width of a name beside an axis."""
+    return float(TextPath((0.0, 0.0), name, size=STYLE["font.size"]).get_extents().width) / 72.0
+
+
+def course(comparison: Comparison) -> PaperFigure | None:
     """Distance from the reference over time, on the first seed."""
-    traced_variants = _traced(comparison)
-    if not traced_variants:
-        return None
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 3.4))
-        axes = figure.subplots()
-        figure.subplots_adjust(left=0.11, right=0.69, top=0.97, bottom=0.14)
-        for i, (variant, traces) in enumerate(traced_variants):
-            values = np.maximum(1000.0 * np.array(traces.error_m), 1e-2)
-            time_s = traces.error_period_s * np.arange(len(values))
-            axes.plot(time_s, values, SOLID if i < len(COLOURS) else DASHED, color=colour(i), label=variant.name)
-        axes.axvline(SETTLED_S, color=GREY, linewidth=0.7, linestyle=(0, (1, 2)))
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(PLAIN)
-        axes.set(xlabel="time since the start [s]", ylabel="distance, RMS over the robots [mm]")
-        axes.margins(x=0.01)
-        figure.legend(loc="upper left", bbox_to_anchor=(0.69, 0.985), borderaxespad=0.0)
+    return PaperFigure(partial(_course, comparison)) if _traced(comparison) else None
+
+
+def _course(comparison: Comparison, width_in: float) -> Figure:
+    """The legend stands beside the axes, or above them on one column's width."""
+    beside = width_in == WIDTH_IN
+    above_in = 0.1 if beside else 0.1 + LEGEND_ROW_IN * len(_traced(comparison))
+    figure = Figure(figsize=(width_in, 3.4 if beside else 2.4 + above_in))
+    height_in = float(figure.get_size_inches()[1])
+    axes = figure.subplots()
+    left, right = 0.8 / width_in, 0.69 if beside else 1 - RIGHT_IN / width_in
+    figure.subplots_adjust(left=left, right=right, top=1 - above_in / height_in, bottom=BOTTOM_IN / height_in)
+    for i, (variant, traces) in enumerate(_traced(comparison)):
+        values = np.maximum(1000.0 * np.array(traces.error_m), 1e-2)
+        time_s = traces.error_period_s * np.arange(len(values))
+        axes.plot(time_s, values, SOLID if i < len(COLOURS) else DASHED, color=colour(i), label=variant.name)
+    axes.axvline(SETTLED_S, color=GREY, linewidth=0.7, linestyle=(0, (1, 2)))
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(PLAIN)
+    axes.set(xlabel=TIME_LABEL, ylabel="RMS distance [mm]")
+    axes.margins(x=0.01)
+    figure.legend(loc="upper left", bbox_to_anchor=(right if beside else left, 0.985), borderaxespad=0.0)
     return figure
 
 
-def wanted(comparison: Comparison) -> Figure | None:
+def wanted(comparison: Comparison) -> PaperFigure | None:
     """Surge of the robot that wanted most, per law: wanted (thin) and applied, with the limit."""
     traced_variants = [(v, t) for v, t in _traced(comparison) if "-without-" not in v.name and not v.name.startswith("mpc-")]
-    if not traced_variants:
-        return None
+    return PaperFigure(partial(_wanted, comparison, traced_variants)) if traced_variants else None
+
+
+def _wanted(comparison: Comparison, traced_variants: Sequence[tuple[Variant, Traces]], width_in: float) -> Figure:
     panels = []
     for _, traces in traced_variants:
         most = int(np.argmax([np.abs(each).max() for each in traces.wanted_n]))
@@ -223,9 +253,9 @@ def wanted(comparison: Comparison) -> Figure | None:
             Curve("applied", time_s, np.array(traces.applied_n[most]), COLOURS[0]),
         ]
         panels.append(Panel("surge [N]", lines, limit=comparison.surge_limit_n, unit="N"))
-    figure = picture(TimePlot(panels, height_in=1.0))
-    for axes, (variant, _) in zip(figure.axes if figure is not None else (), traced_variants, strict=True):
-        axes.text(0.99, 0.93, variant.name, transform=axes.transAxes, ha="right", va="top", fontsize=8.5, bbox=BEHIND_NAME)
+    figure = stack(TimePlot(panels, height_in=1.0), width_in)
+    for axes, (variant, _) in zip(figure.axes, traced_variants, strict=True):
+        axes.set_title(variant.name, loc="center", fontsize=8.5, pad=2.0)
     return figure
 
 

@@ -1,12 +1,13 @@
 """Content of figures over time, apart from their form: plotting.py draws it on paper, templates/plots.js in a page. Pure."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from shoal.frames import Array
 
@@ -78,6 +79,13 @@ class BarPlot:
     begin_s: float
     end_s: float
     marks: Sequence[tuple[str, str, Sequence[float]]] = ()  # matplotlib's sign, its meaning, and when
+
+
+@dataclass(frozen=True)
+class PaperFigure:
+    """A figure that is no plot over time: how it is drawn on paper of a width in inches."""
+
+    draw: Callable[[float], Figure]
 
 
 def embedded(plot: TimePlot | BarPlot) -> dict[str, Any]:

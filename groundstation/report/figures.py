@@ -7,10 +7,8 @@ plotting.py.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from matplotlib.figure import Figure
-
 from groundstation.analysis.series import Series
-from groundstation.report.drawing import BarPlot, TimePlot
+from groundstation.report.drawing import BarPlot, PaperFigure, TimePlot
 from groundstation.report.figures_control import disturbance, frame_times, input_steps, inputs, latency, pulses, step_times
 from groundstation.report.figures_errors import formation_errors, pose_error, separation, tracking_errors, yaw
 from groundstation.report.figures_paths import paths, references, space
@@ -24,7 +22,7 @@ class Kind:
     name: str
     title: str
     caption: str
-    draw: Callable[[Series], TimePlot | BarPlot | Figure | None]
+    draw: Callable[[Series], TimePlot | BarPlot | PaperFigure | None]
 
 
 FIGURES = (

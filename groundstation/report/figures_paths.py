@@ -1,17 +1,31 @@
 """The report's figures of where robots went: planned paths, paths seen from above, and in space. Pure."""
 
+from functools import partial
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle as Disc
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from groundstation.analysis.series import RobotSeries, Series
 from groundstation.palette import colour
-from groundstation.report.plotting import BOTTOM_IN, GREY, LEFT_IN, LIGHT, RIGHT_IN, STYLE, TOP_IN, WIDTH_IN, legend, place
+from groundstation.report.drawing import PaperFigure
+from groundstation.report.plotting import (
+    BOTTOM_IN,
+    GREY,
+    LEFT_IN,
+    LIGHT,
+    RIGHT_IN,
+    TIME_LABEL,
+    WIDTH_IN,
+    legend,
+    legend_columns,
+    place,
+    top_in,
+)
 from shoal.config.simulation import Drifter
 from shoal.frames import Array
 
@@ -21,84 +35,97 @@ FLAT_M = 0.05  # a path that changes its depth by less than this is best seen fr
 MOST_3D_STEP = 5  # every so many control steps are enough for a picture in perspective
 
 
-def references(series: Series) -> Figure | None:
+def references(series: Series) -> PaperFigure | None:
     """The planned paths seen from above, and their headings over time (the article's Figure 9)."""
     tracks = {robot: r.reference for robot, r in series.robots.items() if np.isfinite(r.reference).all() and len(r.reference)}
-    if not tracks:
-        return None
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + 2.4))
-        above, heading = figure.subplots(1, 2, gridspec_kw={"wspace": 0.28})
-        place(figure)
-        for index, robot in enumerate(series.robots):
-            if robot in tracks:
-                x, y, _, yaw_rad = tracks[robot].T
-                above.plot(x, y, "--", color=colour(index), label=f"reference {robot}")
-                above.plot(x[0], y[0], marker="*", color=colour(index), markersize=9, linestyle="")
-                heading.plot(series.time_s, np.degrees(yaw_rad), "--", color=colour(index))
-        above.set(xlabel="x [m]", ylabel="y [m], downwards")
-        above.set_aspect("equal", adjustable="datalim")
-        above.invert_yaxis()
-        heading.set(xlabel="time since the start [s]", ylabel="heading [deg]")
+    return PaperFigure(partial(_references, series, tracks)) if tracks else None
+
+
+def _references(series: Series, tracks: dict[int, Array], width_in: float) -> Figure:
+    """Side by side, or one below the other on one column's width."""
+    room_in, rows = top_in(len(tracks), width_in), 1 if width_in == WIDTH_IN else 2
+    figure = Figure(figsize=(width_in, room_in + rows * (BOTTOM_IN + 2.4)))
+    gaps = {"wspace": 0.28} if rows == 1 else {"hspace": BOTTOM_IN / 2.4}
+    above, heading = figure.subplots(rows, 3 - rows, gridspec_kw=gaps)
+    place(figure, room_in)
+    for index, robot in enumerate(series.robots):
+        if robot in tracks:
+            x, y, _, yaw_rad = tracks[robot].T
+            above.plot(x, y, "--", color=colour(index), label=f"reference {robot}")
+            above.plot(x[0], y[0], marker="*", color=colour(index), markersize=9, linestyle="")
+            heading.plot(series.time_s, np.degrees(yaw_rad), "--", color=colour(index))
+    above.set(xlabel="x [m]", ylabel="y [m], downwards")
+    above.set_aspect("equal", adjustable="datalim")
+    above.invert_yaxis()
+    heading.set(xlabel=TIME_LABEL, ylabel="heading [deg]")
+    if rows == 1:
         heading.yaxis.set_label_coords(-0.14, 0.5)
-        legend(figure, above)
+    legend(figure, above)
     return figure
 
 
-def space(series: Series) -> Figure | None:
+def space(series: Series) -> PaperFigure | None:
     """Paths in three dimensions, if the robots dive (Figures 10, 13 and 15)."""
     by_robot = {robot: r for robot, r in series.robots.items() if np.isfinite(r.truth[:, :3]).all() and len(r.truth)}
     if not by_robot or max(float(np.ptp(r.reference[:, 2])) for r in by_robot.values()) < FLAT_M:
         return None
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 4.0))
-        axes: Any = figure.add_subplot(projection="3d")  # Any: mpl_toolkits ships no types
-        figure.subplots_adjust(left=0.0, right=0.94, top=1.0, bottom=0.06)
-        for index, robot in enumerate(series.robots):
-            if robot in by_robot:
-                r, tone = by_robot[robot], colour(index)
-                axes.plot(*r.reference[::MOST_3D_STEP, :3].T, "--", color=tone, linewidth=0.9, alpha=0.7)
-                axes.plot(*r.truth[::MOST_3D_STEP, :3].T, color=tone, label=f"robot {robot}")
-                axes.plot(*r.truth[:1, :3].T, marker="o", color=tone, markersize=5, linestyle="")
-        for row in _snapshots(series):
-            corners = np.array([r.truth[row, :3] for r in by_robot.values()])
-            axes.plot(*np.vstack([corners, corners[:1]]).T, color=GREY, linewidth=0.7)
-        axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="depth [m]")
-        axes.invert_yaxis()  # both, so that depth goes down and the pool's frame stays right-handed
-        axes.invert_zaxis()
-        axes.set_box_aspect((2.0, 1.0, 0.8), zoom=1.25)
-        figure.legend(loc="upper left", ncols=6, borderaxespad=0.2)
+    return PaperFigure(partial(_space, series, by_robot))
+
+
+def _space(series: Series, by_robot: dict[int, RobotSeries], width_in: float) -> Figure:
+    figure = Figure(figsize=(width_in, 0.2 + 3.8 * max(width_in / WIDTH_IN, 0.65)))
+    axes: Any = figure.add_subplot(projection="3d")  # Any: mpl_toolkits ships no types
+    figure.subplots_adjust(left=0.0, right=1.0 - 0.43 / width_in, top=1.0, bottom=0.06)
+    for index, robot in enumerate(series.robots):
+        if robot in by_robot:
+            r, tone = by_robot[robot], colour(index)
+            axes.plot(*r.reference[::MOST_3D_STEP, :3].T, "--", color=tone, linewidth=0.9, alpha=0.7)
+            axes.plot(*r.truth[::MOST_3D_STEP, :3].T, color=tone, label=f"robot {robot}")
+            axes.plot(*r.truth[:1, :3].T, marker="o", color=tone, markersize=5, linestyle="")
+    for row in _snapshots(series):
+        corners = np.array([r.truth[row, :3] for r in by_robot.values()])
+        axes.plot(*np.vstack([corners, corners[:1]]).T, color=GREY, linewidth=0.7)
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="depth [m]")
+    if width_in < WIDTH_IN:
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+            axis.set_major_locator(MaxNLocator(4))
+    axes.invert_yaxis()  # both, so that depth goes down and the pool's frame stays right-handed
+    axes.invert_zaxis()
+    axes.set_box_aspect((2.0, 1.0, 0.8), zoom=1.25 if width_in == WIDTH_IN else 1.0)
+    figure.legend(loc="upper left", ncols=legend_columns(width_in), borderaxespad=0.2)
     return figure
 
 
-def paths(series: Series) -> Figure | None:
+def paths(series: Series) -> PaperFigure | None:
     """Paths in the pool, seen from above (the article's Figure 30)."""
-    tracks = [r.truth for r in series.robots.values() if np.isfinite(r.truth[:, :2]).any()]
-    if not tracks:
-        return None
+    has_paths = any(np.isfinite(r.truth[:, :2]).any() for r in series.robots.values())
+    return PaperFigure(partial(_paths, series)) if has_paths else None
+
+
+def _paths(series: Series, width_in: float) -> Figure:
     length, width, _ = series.experiment.pool.size_m
-    with mpl.rc_context(STYLE):
-        low, high = _extent(series)
-        inside_in = (WIDTH_IN - LEFT_IN - RIGHT_IN) * float((high - low)[1] / (high - low)[0])
-        figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + min(inside_in, TALLEST_IN)))
-        axes = figure.subplots()
-        place(figure)
-        if series.experiment.pool.walls:
-            axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
-        for island in series.experiment.islands:
-            axes.add_patch(Disc(island.position_m, island.radius_m, facecolor=LIGHT, edgecolor=GREY, hatch="///"))
-        for ball in series.experiment.sim.drifters:
-            _drifter(axes, ball, series.end_s)
-        for index, (robot, r) in enumerate(series.robots.items()):
-            _path(axes, robot, r, colour(index), series.experiment.vehicle.radius_m)
-        for row in _snapshots(series):
-            corners = np.array([r.truth[row, :2] for r in series.robots.values()])
-            closed = np.vstack([corners, corners[:1]])
-            axes.plot(closed[:, 0], closed[:, 1], color=LIGHT, linewidth=0.8, zorder=1)
-        axes.set(xlabel="x [m]", ylabel="y [m], downwards as seen from above", aspect="equal")
-        axes.set_xlim(low[0], high[0])
-        axes.set_ylim(high[1], low[1])
-        legend(figure, axes)
+    low, high = _extent(series)
+    inside_in = (width_in - LEFT_IN - RIGHT_IN) * float((high - low)[1] / (high - low)[0])
+    room_in = top_in(len(series.robots) + bool(series.experiment.sim.drifters), width_in)
+    figure = Figure(figsize=(width_in, room_in + BOTTOM_IN + min(inside_in, TALLEST_IN)))
+    axes = figure.subplots()
+    place(figure, room_in)
+    if series.experiment.pool.walls:
+        axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
+    for island in series.experiment.islands:
+        axes.add_patch(Disc(island.position_m, island.radius_m, facecolor=LIGHT, edgecolor=GREY, hatch="///"))
+    for ball in series.experiment.sim.drifters:
+        _drifter(axes, ball, series.end_s)
+    for index, (robot, r) in enumerate(series.robots.items()):
+        _path(axes, robot, r, colour(index), series.experiment.vehicle.radius_m)
+    for row in _snapshots(series):
+        corners = np.array([r.truth[row, :2] for r in series.robots.values()])
+        closed = np.vstack([corners, corners[:1]])
+        axes.plot(closed[:, 0], closed[:, 1], color=LIGHT, linewidth=0.8, zorder=1)
+    axes.set(xlabel="x [m]", ylabel="y [m], downwards", aspect="equal")
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(high[1], low[1])
+    legend(figure, axes)
     return figure
 
 

@@ -13,14 +13,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from groundstation.report.drawing import BarPlot, Panel, TimePlot, thin
+from groundstation.report.drawing import BarPlot, Panel, PaperFigure, TimePlot, thin
 
 GREY, LIGHT = "#767676", "#D9D9D9"
-WIDTH_IN = 7.2
+WIDTH_IN, COLUMN_IN = 7.2, 3.5  # of two columns of most journals, and of one
 # Fixed margins: every figure's axis begins at the same place, and no layout engine has to draw everything twice to find out.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, GAP_IN = 0.85, 0.12, 0.34, 0.48, 0.20
 MOST_LABELS = 8
 ROW_IN = 0.22  # of a bar plot
+LEGEND_ROW_IN = 0.19
 LABELS_TO = 0.2  # of the figure's width: where the names of the rows end
 TIME_LABEL = "time since the start [s]"
 
@@ -51,22 +52,30 @@ STYLE: Any = {  # Any: matplotlib types its keys as one literal of hundreds of n
 }
 
 
-def picture(drawing: TimePlot | BarPlot | Figure | None) -> Figure | None:
-    """A drawing as a figure on paper; None if there is nothing to plot."""
-    if drawing is None or isinstance(drawing, Figure):
-        return drawing
-    if isinstance(drawing, TimePlot) and drawing.is_empty:
+def picture(drawing: TimePlot | BarPlot | PaperFigure | None, width_in: float = WIDTH_IN) -> Figure | None:
+    """A drawing as a figure on paper; None if there is nothing to plot. `width_in` is a picture's and a stack of panels'."""
+    if drawing is None or (isinstance(drawing, TimePlot) and drawing.is_empty):
         return None
     with mpl.rc_context(STYLE):
+        if isinstance(drawing, PaperFigure):
+            return drawing.draw(width_in)
         if isinstance(drawing, BarPlot):
             return _bars(drawing)
-        return _time_and_histogram(drawing) if drawing.histogram else _stack(drawing)
+        return _time_and_histogram(drawing) if drawing.histogram else stack(drawing, width_in)
 
 
-def _stack(plot: TimePlot) -> Figure:
+def on_page(drawing: PaperFigure, name: str) -> str:
+    """A picture for a page: as an SVG element of two columns' width, which is shown, and in a template that of one column,
+    which paper.js saves."""
+    with mpl.rc_context(STYLE):
+        wide, narrow = to_svg(drawing.draw(WIDTH_IN), name), to_svg(drawing.draw(COLUMN_IN), f"{name}, narrow")
+    return f'{wide}<template data-columns="1">{narrow}</template>'
+
+
+def stack(plot: TimePlot, width_in: float) -> Figure:
     """Draw panels below one another on one axis of time."""
     gaps_in = GAP_IN * (len(plot.panels) - 1)
-    figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + gaps_in + plot.height_in * len(plot.panels)))
+    figure = Figure(figsize=(width_in, TOP_IN + BOTTOM_IN + gaps_in + plot.height_in * len(plot.panels)))
     gap = {"hspace": GAP_IN / plot.height_in}
     grid = figure.subplots(len(plot.panels), 1, sharex=True, squeeze=False, gridspec_kw=gap)
     place(figure)
@@ -86,11 +95,11 @@ def _stack(plot: TimePlot) -> Figure:
     return figure
 
 
-def place(figure: Figure) -> None:
+def place(figure: Figure, top_in: float = TOP_IN) -> None:
     """Give the axes their margins, and their labels one line."""
     width_in, height_in = figure.get_size_inches()
     figure.subplots_adjust(
-        left=LEFT_IN / width_in, right=1 - RIGHT_IN / width_in, top=1 - TOP_IN / height_in, bottom=BOTTOM_IN / height_in
+        left=LEFT_IN / width_in, right=1 - RIGHT_IN / width_in, top=1 - top_in / height_in, bottom=BOTTOM_IN / height_in
     )
     first = figure.axes[0]
     for axes in figure.axes:
@@ -103,11 +112,22 @@ def legend(figure: Figure, axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
     if 1 <= len(unique) <= MOST_LABELS:
-        columns = min(len(unique), 6)
+        columns = min(len(unique), legend_columns(float(figure.get_size_inches()[0])))
         left = (LEFT_IN - 0.1) / figure.get_size_inches()[0]
         figure.legend(
             list(unique.values()), list(unique), loc="upper left", bbox_to_anchor=(left, 1.0), ncols=columns, borderaxespad=0.2
         )
+
+
+def legend_columns(width_in: float) -> int:
+    """Entries of a legend beside one another in a figure of a width."""
+    return max(1, int(6 * width_in / WIDTH_IN))
+
+
+def top_in(entries: int, width_in: float) -> float:
+    """Room above the axes for a legend; on one column's width it takes more rows."""
+    rows = -(-entries // legend_columns(width_in)) if entries <= MOST_LABELS else 0
+    return max(TOP_IN, LEGEND_ROW_IN * rows + 0.06)
 
 
 def _compare(axes: Axes, panel: Panel) -> None:

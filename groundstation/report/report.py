@@ -23,9 +23,9 @@ from groundstation.analysis.series import Series, TimelineEvent
 from groundstation.analysis.statistics import three
 from groundstation.analysis.timeline import is_injection
 from groundstation.logs.reader import RunLog, read_log
-from groundstation.report.drawing import TimePlot, embedded
+from groundstation.report.drawing import PaperFigure, TimePlot, embedded
 from groundstation.report.figures import FIGURES, Kind
-from groundstation.report.plotting import picture, to_svg
+from groundstation.report.plotting import on_page, picture
 from groundstation.report.report_tables import tables
 from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
 from shoal.config.experiment import Experiment, load_experiment
@@ -183,9 +183,9 @@ def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
 
 def _draw(kind: Kind, series: Series) -> Drawn:
     plot = kind.draw(series)
-    if plot is None or isinstance(plot, Figure):
+    if plot is None or isinstance(plot, PaperFigure):
         # our own picture, with texts that matplotlib has escaped
-        svg = Markup(to_svg(plot, kind.name)) if plot is not None else None
+        svg = Markup(on_page(plot, kind.name)) if plot is not None else None
         return Drawn(kind.name, kind.title, kind.caption, None, svg)
     empty = isinstance(plot, TimePlot) and plot.is_empty
     return Drawn(kind.name, kind.title, kind.caption, None if empty else _json(embedded(plot)), None)
@@ -197,7 +197,7 @@ def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
     names = {"scene", "seed", "mode", "experiment_hash", "hash", "version", "commit"}
     return [
         ("seed", str(result.seed)),
-        ("mode", result.mode),
+        ("mode", result.mode_text),
         ("evaluated", f"{result.duration_s:.1f} s of {result.planned_duration_s:g} s"),
         *([("flight", f"{result.flight} of {len(result.flights)}")] if len(result.flights) > 1 else []),
         ("speed", f"{three(factor)} × real time"),

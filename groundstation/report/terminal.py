@@ -41,7 +41,7 @@ def _table(result: Result) -> Iterator[str]:
     with_article = result.is_whole and any(row.article for row in rows.values())
     groups = GROUPS if with_article else GROUPS[:2]
     wide = max(len(name) for name in rows)
-    yield f"{result.scene}, seed {result.seed}, {result.mode}, {result.duration_s:.0f} s: errors in mm, yaw in deg"
+    yield f"{result.scene}, seed {result.seed}, {result.mode_text}, {result.duration_s:.0f} s: errors in mm, yaw in deg"
     yield (" " * wide + "".join(f" {heading:^{CELL * count - 1}}" for heading, count in groups)).rstrip()
     yield " " * wide + "".join(f"{axis:>{CELL}}" for _, count in groups for axis in ("x", "y", "z", "yaw")[:count])
     for name, row in rows.items():

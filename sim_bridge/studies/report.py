@@ -2,7 +2,8 @@
 them."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from matplotlib.text import Text
 
 from groundstation.analysis.measures import LABELS, MEASURES
 from groundstation.analysis.statistics import Interval
+from groundstation.report.plotting import COLUMN_IN, WIDTH_IN
 from groundstation.report.report import saving_script
+from shoal.config.key_reference import tables
 from shoal.runtime.output_files import replace_text
 from sim_bridge.studies.campaign import Campaign, command_of
 from sim_bridge.studies.dependence import KeyValue, reasons, shown_measures, unit_of
@@ -23,7 +26,8 @@ from sim_bridge.studies.statistics import distribution, rate
 
 WORST = 10
 BLUE, INK = "#0072b2", "#1c2733"
-FONT = 8.0  # points, in figures of one column's width
+TALL_IN = 2.4  # of figures
+FONT = 8.0  # points
 
 Row = dict[str, Any]
 
@@ -57,18 +61,25 @@ def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Seque
         "facts": _facts(campaign, rows, flown, wanted),
         "summary": [(name, MEASURES[name], distribution(numbers)) for name, numbers in values.items() if numbers],
         "histograms": [
-            (_histogram(numbers, name), MEASURES[name]) for name, numbers in values.items() if len(set(numbers)) > 1
+            (name, _svg(partial(_histogram, numbers, name)), MEASURES[name])
+            for name, numbers in values.items()
+            if len(set(numbers)) > 1
         ],
         "groups": [(key, lines, _against(key, lines, shown)) for key, lines in by_key.items()],
         "scatters": [
-            (_scatter(name, main, pairs), f"{LABELS[main]} against {name}")
+            (name, _svg(partial(_scatter, name, main, pairs)), f"{LABELS[main]} against {name}")
             for key in campaign.draw
             for name, pairs in _components(key, main, flown)
         ],
         "shown": [(name, LABELS[name], unit_of(name)[0]) for name in shown],
         "reasons": reasons(rows),
         "worst": [
-            {"index": row["index"], "value": row[main], "reason": row["reason"], "command": command_of(campaign, row)}
+            {
+                "index": row["index"],
+                "value": unit_of(main)[1] * row[main],
+                "reason": row["reason"],
+                "command": command_of(campaign, row),
+            }
             for row in ranked[:WORST]
         ],
         "trouble": [{**row, "command": command_of(campaign, row)} for row in rows if row["status"] != "flown"],
@@ -106,11 +117,11 @@ def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> li
     places = [n for n in numbers if n is not None]
     if len(places) < len(lines):
         places = [float(k) for k in range(len(lines))]
-    return [(LABELS.get(measure, measure), _svg(_panel(key, lines, places, measure))) for measure in measures]
+    return [(LABELS[measure], _svg(partial(_panel, key, lines, places, measure))) for measure in measures]
 
 
-def _panel(key: str, lines: Sequence[KeyValue], places: Sequence[float], measure: str) -> Figure:
-    figure = Figure(figsize=(3.5, 2.4))
+def _panel(key: str, lines: Sequence[KeyValue], places: Sequence[float], measure: str, width_in: float) -> Figure:
+    figure = Figure(figsize=(width_in, TALL_IN))
     axes = figure.subplots()
     for x, line in zip(places, lines, strict=True):
         axes.plot([x] * len(line.points[measure]), line.points[measure], ".", color=BLUE, markersize=4, alpha=0.4)
@@ -121,7 +132,7 @@ def _panel(key: str, lines: Sequence[KeyValue], places: Sequence[float], measure
         axes.plot([x, x], ends, color=INK, linewidth=2.0)
         axes.plot(x, interval.value, "o", color=INK, markersize=4)
     axes.set_xticks(places, [line.value for line in lines])
-    axes.set(xlabel=key, ylabel=axis_of(measure))
+    axes.set(xlabel=_with_unit(key), ylabel=axis_of(measure))
     most = max((value for line in lines for value in line.points[measure]), default=0.0)
     axes.set_ylim(0.0, 1.08 * most or 1.0)
     return figure
@@ -129,7 +140,19 @@ def _panel(key: str, lines: Sequence[KeyValue], places: Sequence[float], measure
 
 def axis_of(measure: str) -> str:
     """Quantity and unit of a measure, for an axis."""
-    return f"{LABELS.get(measure, measure)} [{unit_of(measure)[0]}]"
+    return f"{LABELS[measure]} [{unit_of(measure)[0]}]"
+
+
+def _with_unit(name: str) -> str:
+    """Name of a key, or of a component of it, for an axis."""
+    unit = _units().get(name.partition("[")[0])
+    return f"{name} [{unit}]" if unit else name
+
+
+@cache
+def _units() -> dict[str, str]:
+    """Units of the keys that have one."""
+    return {entry.name: entry.unit for table in tables("experiment") for entry in table.entries if entry.unit}
 
 
 def _number(text: str) -> float | None:
@@ -139,26 +162,32 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _histogram(numbers: Sequence[float], measure: str) -> Markup:
-    figure = Figure(figsize=(3.5, 2.0))
+def _histogram(numbers: Sequence[float], measure: str, width_in: float) -> Figure:
+    figure = Figure(figsize=(width_in, TALL_IN))
     axes = figure.subplots()
     shown = unit_of(measure)[1] * np.asarray(numbers)
     axes.hist(shown, bins="auto" if len(numbers) < 1000 else 60, color=BLUE)
     axes.axvline(float(np.median(shown)), color=INK, linewidth=1.0, linestyle="--")
-    axes.set(xlabel=axis_of(measure), ylabel="flights")
+    axes.set(xlabel=axis_of(measure), ylabel="number of flights")
     axes.locator_params(axis="x", nbins=5)
-    return _svg(figure)
+    return figure
 
 
-def _scatter(key: str, measure: str, pairs: Sequence[tuple[float, float]]) -> Markup:
-    figure = Figure(figsize=(3.5, 2.4))
+def _scatter(key: str, measure: str, pairs: Sequence[tuple[float, float]], width_in: float) -> Figure:
+    figure = Figure(figsize=(width_in, TALL_IN))
     axes = figure.subplots()
     axes.plot([x for x, _ in pairs], [unit_of(measure)[1] * y for _, y in pairs], ".", color=BLUE, markersize=4)
-    axes.set(xlabel=key, ylabel=axis_of(measure))
-    return _svg(figure)
+    axes.set(xlabel=_with_unit(key), ylabel=axis_of(measure))
+    return figure
 
 
-def _svg(figure: Figure) -> Markup:
+def _svg(draw: Callable[[float], Figure]) -> Markup:
+    """A figure as drawn for one column, and in a template for two, which is saved."""
+    narrow, wide = (_outlined(draw(width_in)) for width_in in (COLUMN_IN, WIDTH_IN))
+    return Markup(f'{narrow}<template data-columns="2">{wide}</template>')  # our own; matplotlib has escaped its texts
+
+
+def _outlined(figure: Figure) -> str:
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
     for label in figure.findobj(Text):
@@ -167,7 +196,7 @@ def _svg(figure: Figure) -> Markup:
     text = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none"}):  # text stays text, also in what is saved of it
         figure.savefig(text, format="svg", metadata={"Date": None})
-    return Markup(text.getvalue()[text.getvalue().index("<svg") :])  # our own drawing; matplotlib has escaped its texts
+    return text.getvalue()[text.getvalue().index("<svg") :]
 
 
 def _interval(interval: Interval) -> str:

@@ -151,9 +151,35 @@ def test_events_of_megabytes_leave_the_page_and_its_stop_alive(browser: Browser)
         assert page.evaluate("document.body.innerText.length") < 20_000
 
 
+@pytest.mark.parametrize("width", [840, 1024, 1280])
+def test_the_stop_button_is_whole_in_a_window_of_any_width(browser: Browser, width: int) -> None:
+    with lone_station(browser, load_experiment("pool")) as lone:
+        lone.page.set_viewport_size({"width": width, "height": 700})
+        lone.own_status = replace(lone.own_status, state=MissionState.RETURNING)
+        lone.page.goto(lone.url)
+        expect(lone.page.locator("header .mission-state")).to_have_text("returning to the start")
+        box = button(lone.page, "EMERGENCY STOP Shift+Space").bounding_box()
+        assert box is not None and box["x"] >= 0.0 and box["x"] + box["width"] <= width
+        assert lone.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_the_clock_stands_when_the_mission_is_over(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as lone:
+        lone.own_status = replace(lone.own_status, state=MissionState.RUNNING, began_ns=lone.clock.now_ns() - 60_000_000_000)
+        lone.page.goto(lone.url)
+        clock = lone.page.locator("header .clock")
+        expect(clock).to_have_text(re.compile(r"^1:0[3-9] / "))  # it goes on
+        lone.own_status = replace(lone.own_status, state=MissionState.DONE)
+        expect(lone.page.locator("header .mission-state")).to_have_text("done")
+        stood = clock.inner_text()
+        lone.page.wait_for_timeout(2500)
+        assert clock.inner_text() == stood
+
+
 def test_a_mission_that_is_done_and_its_station_gone_is_no_alarm(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as desk:
         page = desk.page
+        page.clock.install()
         desk.own_status = replace(desk.own_status, state=MissionState.RUNNING)
         page.goto(desk.url)
         expect(page.locator("header .mission-state")).to_have_text("running")
@@ -164,6 +190,10 @@ def test_a_mission_that_is_done_and_its_station_gone_is_no_alarm(browser: Browse
         expect(page.locator("header .mission-state")).to_have_text("the run is over: its report is being written")
         expect(page.get_by_text("no connection", exact=True)).to_have_count(0)
         expect(page.get_by_role("button", name=re.compile("STOP"))).to_have_count(0)  # there is nothing to stop
+        page.clock.fast_forward(100_000)  # a report of a long run takes that; nobody knows from here
+        expect(page.locator("header .mission-state")).to_have_text(
+            re.compile("the report takes long, or the program has ended")
+        )
         expect(page.get_by_label("Alarms")).to_contain_text("none")
 
 

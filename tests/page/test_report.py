@@ -2,16 +2,24 @@
 
 import csv
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pypdfium2 as pdfium
 import pytest
 from playwright.sync_api import Browser
 
+from groundstation.analysis.measures import MEASURES
 from groundstation.palette import colour
 from groundstation.report.compare_report import write as write_comparison
-from groundstation.report.report import write_report
+from groundstation.report.report import evaluated, write_report
+from groundstation.report.report import write_comparison as write_runs
+from groundstation.report.run_comparison import ComparedRun
+from shoal.config.loader import check
 from shoal.messages.messages import Mode
+from sim_bridge.studies.campaign import Campaign
+from sim_bridge.studies.dependence import dependences
+from sim_bridge.studies.report import write_report as write_campaign
 from tests.groundstation.report.comparisons import comparison, variant
 from tests.groundstation.synthetic import Script, write_run
 from tests.page.flights import serious
@@ -19,6 +27,10 @@ from tests.page.flights import serious
 pytestmark = [pytest.mark.timeout(120), pytest.mark.real_time]
 
 LAWS = comparison(variant("nmpc", 1.0), variant("ownlaw:Pd", 3.0), variant("nmpc-leader-follower", 20.0))
+CAMPAIGN = {
+    "name": "mini", "experiment": "pool", "seeds": 6, "sweep": {"sim.plant.mass_error": [0.0, 0.1]},
+    "draw": {"sim.plant.current_mps": {"uniform": [[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]]}},
+}  # fmt: skip
 CHARTS = "document.querySelectorAll('.uplot').length"
 TOO_WIDE = "[...document.querySelectorAll('main, .card, figure')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
 TIMES = "[...document.querySelectorAll('#tracking .u-legend tr:first-child .u-value')].map((e) => e.textContent)"
@@ -92,6 +104,70 @@ def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browse
     name, table = saved("Save the table errors", "tex")
     assert b"\\begin{tabular}{l" in table and b"\\multicolumn" in table
     assert table.count(b"\\\\") == len(rows)
+    page.close()
+
+
+COLUMN_PT = {1: 252, 2: 520}
+LEAST_PT = 6.0  # what a reader of a paper can read
+BOXES = """() => {
+  const svg = document.querySelector("svg"), whole = svg.getBoundingClientRect(), by = svg.viewBox.baseVal.width / whole.width;
+  const { left: x, top: y } = whole, places = ({ left, top, right, bottom }) => [left - x, top - y, right - x, bottom - y];
+  return [...svg.querySelectorAll("text, path")].map((e) => places(e.getBoundingClientRect()).map((v) => v * by));
+}"""
+
+
+def test_figures_of_every_page_are_saved_whole_and_readable_at_one_and_two_columns(browser: Browser, tmp_path: Path) -> None:
+    """Reports, laws and runs compared, and campaigns: texts are large enough, nothing lies outside, each axis has its unit."""
+    names = []
+    for page_file in pages_with_figures(tmp_path):
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.goto(f"file://{page_file}")
+        for figure in page.locator("figure").all():
+            figure.scroll_into_view_if_needed()
+            menu = figure.get_by_label("Save the figure").or_(figure.locator(".save-as")).first
+            for columns, width_pt in COLUMN_PT.items():
+                with page.expect_download() as download:
+                    menu.select_option(f"svg-{columns}")
+                names.append(f"{page_file.parent.name}/{download.value.suggested_filename}")
+                assert_complete(browser, download.value.path().read_text(encoding="utf-8"), width_pt, names[-1])
+            page.evaluate("document.body.click()")
+        page.close()
+    assert len(set(names)) == len(names), "each figure is saved under a name of its own"
+
+
+def pages_with_figures(folder: Path) -> list[Path]:
+    """A page of each kind that has figures for a paper."""
+    for name in ("run", "laws", "campaign", "runs"):
+        (folder / name).mkdir()
+    write_run(folder / "run", Script(until_s=9.0))
+    write_report(folder / "run")
+    (folder / "laws" / "comparison.json").write_text(LAWS.to_json())
+    write_comparison(folder / "laws")
+    campaign = check(Campaign, CAMPAIGN, "mini.toml")
+    fixed = {"status": "flown", "passed": True, "reason": "", "commit": "0123", "wall_s": 1.0}
+    rows: list[dict[str, Any]] = [
+        {**dict.fromkeys(MEASURES, 0.01 * k), **fixed, "index": k, "seed": k, "at_fault": 0.0}
+        | {"sim.plant.mass_error": 0.1 * (k % 2), "sim.plant.current_mps": [1e-3 * k, 0.0, 0.0]}
+        for k in range(1, 7)
+    ]
+    write_campaign(campaign, rows, dependences(campaign, rows), 6, folder / "campaign" / "report.html")
+    series, _, result = evaluated(folder / "run")
+    compared = [ComparedRun(name, series, result) for name in ("first", "second")]
+    write_runs(compared, folder / "runs" / "why.html")
+    files = ("run/report.html", "laws/comparison.html", "campaign/report.html", "runs/why.html")
+    return [folder / file for file in files]
+
+
+def assert_complete(browser: Browser, svg: str, width_pt: int, name: str) -> None:
+    drawn = ElementTree.fromstring(svg)
+    width, height = (float(drawn.get(key, "").removesuffix("pt")) for key in ("width", "height"))
+    texts = list(drawn.iter("{http://www.w3.org/2000/svg}text"))
+    assert width == width_pt and min(float(text.get("font-size", 0)) for text in texts) >= LEAST_PT, name
+    assert any("[" in (text.text or "") for text in texts), name
+    page = browser.new_page()
+    page.set_content(svg)
+    for left, top, right, bottom in page.evaluate(BOXES):
+        assert left > -1.0 and top > -1.0 and right < width + 1.0 and bottom < height + 1.0, name
     page.close()
 
 

@@ -3,7 +3,7 @@
 "use strict";
 (() => {
   const COLUMN_PT = { 1: 252, 2: 520 }; // 3.5 in and 7.2 in: the widths of most journals
-  const FONT = 8, SMALL = 7, INK = "#000000", GREY = "#767676", GRID = "#e6e6e6", FACE = "Helvetica, Arial, sans-serif";
+  const FONT = 8, SMALL = 7, INK = "#000000", GREY = "#767676", GRID = "#e6e6e6", BAND = "#ececec", FACE = "Helvetica, Arial, sans-serif";
   const PNG_DPI = 600, LEFT = 44, RIGHT = 6, BOTTOM = 30, GAP = 8, ROW = 11;
   const measure = document.createElement("canvas").getContext("2d");
 
@@ -51,7 +51,12 @@
     return [...new Map(lines.filter((l) => l.label).map((l) => [l.label, l])).values()];
   }
 
-  /** A drawing {xLabel, from, to, panels: [{label, range, marks, lines: [{label, colour, dash, dots, x, y}]}]} as items. */
+  /** Vertical lines at instants: [{at, colour, dash}]. */
+  function instants(drawing, x, y0, y1) {
+    return (drawing.instants ?? []).filter(({ at }) => at > drawing.from && at < drawing.to).map(({ at, colour, dash }) => line([[x(at), y0], [x(at), y1]], colour, 0.6, dash));
+  }
+
+  /** A drawing {xLabel, from, to, instants, panels: [{label, range, marks, band, words, lines: [{label, colour, dash, dots, x, y}]}]} as items. */
   function layout(drawing, columns) {
     const total = COLUMN_PT[columns], [items, top] = legend(unique(drawing.panels.flatMap((p) => p.lines)), total - RIGHT);
     const tall = Math.min(130, 0.42 * total), right = total - RIGHT;
@@ -60,6 +65,7 @@
     drawing.panels.forEach((panel, k) => {
       const [low, high] = limits(panel.lines.flatMap((l) => l.y), panel.range), y1 = y0 + tall;
       const y = (v) => y1 - ((v - low) / (high - low)) * tall;
+      const grounds = items.length;
       for (const at of ticks(drawing.from, drawing.to, columns === 1 ? 5 : 9)) {
         items.push(line([[x(at), y0], [x(at), y1]], GRID));
         if (k === drawing.panels.length - 1) items.push(text(String(at), x(at), y1 + 10, { size: SMALL }));
@@ -67,6 +73,11 @@
       for (const at of ticks(low, high, 4)) {
         items.push(line([[LEFT, y(at)], [right, y(at)]], GRID), text(String(at).replace("-", "−"), LEFT - 4, y(at) + 2.5, { anchor: "end", size: SMALL }));
       }
+      if (panel.band) {
+        const [a, b] = panel.band.map((v) => y(Math.min(Math.max(v, low), high)));
+        items.splice(grounds, 0, { points: [[LEFT, a], [right, a], [right, b], [LEFT, b]], fill: BAND });
+      }
+      items.push(...instants(drawing, x, y0, y1));
       for (const mark of panel.marks ?? []) if (mark > low && mark < high) items.push(line([[LEFT, y(mark)], [right, y(mark)]], GREY, 0.7, [4, 3]));
       for (const one of panel.lines) {
         let run = [];
@@ -80,13 +91,14 @@
         flush();
       }
       items.push(line([[LEFT, y0], [LEFT, y1], [right, y1]], GREY), text(panel.label, 8, (y0 + y1) / 2, { angle: -90 }));
+      if (panel.words) items.push(text(panel.words, right - 2, y0 + SMALL, { anchor: "end", size: SMALL, colour: GREY }));
       y0 = y1 + GAP;
     });
     items.push(text(drawing.xLabel, (LEFT + right) / 2, y0 + BOTTOM - 14));
     return { items, width: total, height: y0 + BOTTOM - GAP };
   }
 
-  /** Bars {xLabel, from, to, rows: [[name, [{begin_s, length_s, colour, label}]]]} as items. */
+  /** Bars {xLabel, from, to, instants, rows: [[name, [{begin_s, length_s, colour, label}]]]} as items. */
   function bars(drawing, columns) {
     const total = COLUMN_PT[columns], left = 8 + Math.max(...drawing.rows.map(([name]) => width(name, SMALL))) + 4, right = total - RIGHT;
     const [items, top] = legend(unique(drawing.rows.flatMap(([, all]) => all)).map((bar) => ({ ...bar, fill: true })), right);
@@ -101,12 +113,23 @@
         items.push({ points: [[a, y0], [b, y0], [b, y1], [a, y1]], fill: bar.colour });
       }
     });
-    items.push(line([[left, bottom], [right, bottom]], GREY), text(drawing.xLabel, (left + right) / 2, bottom + BOTTOM - 8));
+    items.push(...instants(drawing, x, top, bottom), line([[left, bottom], [right, bottom]], GREY), text(drawing.xLabel, (left + right) / 2, bottom + BOTTOM - 8));
     return { items, width: total, height: bottom + BOTTOM };
   }
 
-  /** A picture that is SVG already, as items: outlines are followed point by point, text stays text. */
-  function ofSvg(svg, columns) {
+  /** A picture that is SVG already, as items. Beside what is shown a page has it as drawn for the other width, in a template. */
+  function ofSvg(shown, columns) {
+    const other = shown.parentElement.querySelector(`:scope > template[data-columns="${columns}"]`);
+    if (!other) return outlines(shown, columns);
+    const host = document.body.appendChild(Object.assign(document.createElement("div"), { style: "position: absolute; left: -9999px; width: 1000px" }));
+    host.append(other.content.cloneNode(true));
+    const items = outlines(host.querySelector("svg"), columns);
+    host.remove();
+    return items;
+  }
+
+  /** Outlines are followed point by point, text stays text. */
+  function outlines(svg, columns) {
     const box = svg.viewBox.baseVal, by = COLUMN_PT[columns] / box.width, items = [];
     const home = svg.getScreenCTM().inverse();
     const place = (matrix, p) => {
@@ -281,15 +304,22 @@
 
   const cells = (row) => [...row.cells].flatMap((cell) => [cell.innerText.replace(/\s+/g, " ").trim(), ...Array(Math.max(cell.colSpan - 1, 0)).fill("")]);
 
-  const TEX = { "&": "\\&", "%": "\\%", "#": "\\#", _: "\\_", $: "\\$", "{": "\\{", "}": "\\}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "\\": "\\textbackslash{}", "±": "$\\pm$", "×": "$\\times$", "Δ": "$\\Delta$", "–": "--", "—": "---", "°": "$^{\\circ}$", "µ": "$\\mu$", "✓": "$\\checkmark$", "✗": "$\\times$", "≤": "$\\le$", "≥": "$\\ge$", "²": "$^2$", "−": "$-$" };
+  const TEX = { "&": "\\&", "%": "\\%", "#": "\\#", _: "\\_", $: "\\$", "{": "\\{", "}": "\\}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "\\": "\\textbackslash{}", "±": "$\\pm$", "×": "$\\times$", "Δ": "$\\Delta$", "–": "--", "—": "---", "°": "$^{\\circ}$", "µ": "$\\mu$", "✓": "$\\checkmark$", "✗": "$\\times$", "≤": "$\\le$", "≥": "$\\ge$", "²": "$^2$", "−": "$-$", "→": "$\\to$", "…": "\\dots{}", "<": "$<$", ">": "$>$", "|": "$|$" };
+  const LONG = 48; // characters of a cell that gets lines
   const tex = (s) => Array.from(s, (c) => TEX[c] ?? c).join("");
 
-  /** A table as LaTeX for the package booktabs. */
+  /** A table as LaTeX for the package booktabs: numbers at the right, texts at the left, long ones in lines of their own. */
   function latexOf(table) {
-    const row = (one) => [...one.cells].map((cell) => (cell.colSpan > 1 ? `\\multicolumn{${cell.colSpan}}{c}{${tex(cell.innerText.replace(/\s+/g, " ").trim())}}` : tex(cell.innerText.replace(/\s+/g, " ").trim()))).join(" & ") + " \\\\";
+    const said = (cell) => tex(cell.innerText.replace(/\s+/g, " ").trim()).replace(/^\[/, "{[}"); // after a row's end it would be a length
+    const row = (one) => [...one.cells].map((cell) => (cell.colSpan > 1 ? `\\multicolumn{${cell.colSpan}}{c}{${said(cell)}}` : said(cell))).join(" & ") + " \\\\";
     const [head, body] = [[...(table.tHead?.rows ?? [])], [...table.tBodies].flatMap((part) => [...part.rows])];
     const count = Math.max(...[...head, ...body].map((one) => cells(one).length));
-    return ["% \\usepackage{booktabs}", `\\begin{tabular}{l${"r".repeat(count - 1)}}`, "\\toprule", ...head.map(row), "\\midrule", ...body.map(row), "\\bottomrule", "\\end{tabular}", ""].join("\n");
+    const column = (k) => {
+      const all = body.map((one) => one.cells[k]).filter((cell) => cell);
+      if (all.some((cell) => cell.innerText.length > LONG)) return "p{0.6\\linewidth}";
+      return all.every((cell) => /left|start/.test(getComputedStyle(cell).textAlign)) ? "l" : "r";
+    };
+    return ["% \\usepackage{booktabs}", `\\begin{tabular}{${Array.from({ length: count }, (_, k) => column(k)).join("")}}`, "\\toprule", ...head.map(row), "\\midrule", ...body.map(row), "\\bottomrule", "\\end{tabular}", ""].join("\n");
   }
 
   function named(table) {

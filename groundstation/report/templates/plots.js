@@ -2,7 +2,7 @@
 // Needs uPlot, which is Copyright (c) 2022 Leon Sorokin, under the MIT licence (groundstation/web/LICENSES.txt).
 "use strict";
 (() => {
-  const CURSOR = "time", AXIS_PX = 62, ROW_PX = 24, GREY = "#767676", GRID = { stroke: "#e6e6e6", width: 1 };
+  const CURSOR = "time", AXIS_PX = 62, ROW_PX = 24, GREY = "#767676", INK = "#1c2733", FAULT = "#a33b00", GRID = { stroke: "#e6e6e6", width: 1 };
   const charts = [];
   let range = null; // [from, to] in s that every plot shows; null: everything there is
 
@@ -54,7 +54,7 @@
   const marks = JSON.parse(document.getElementById("marks")?.textContent ?? "[]");
   function markAll(u, mark_s) {
     if (mark_s !== null && mark_s !== undefined) vertical(u, mark_s, GREY, [1, 3]);
-    for (const mark of marks) vertical(u, mark.time, mark.fault ? "#a33b00" : "#1c2733", mark.fault ? [] : [5, 3]);
+    for (const mark of marks) vertical(u, mark.time, mark.fault ? FAULT : INK, mark.fault ? [] : [5, 3]);
   }
 
   function shared(last) {
@@ -81,7 +81,7 @@
   }
 
   function limits(panel, low, high) {
-    for (const value of [panel.limit, panel.limit === null ? null : -panel.limit, panel.floor]) {
+    for (const value of [panel.limit, panel.limit === null || low >= 0 ? null : -panel.limit, panel.floor]) {
       if (value !== null && value >= low - (high - low) && value <= high + (high - low)) [low, high] = [Math.min(low, value), Math.max(high, value)];
     }
     if (panel.floor !== null) low = Math.min(low, 0);
@@ -201,17 +201,23 @@
 
   const TIME_LABEL = "time since the start [s]", DASHES = { "--": [5, 3], ":": [1.5, 2], "-.": [5, 2, 1.5, 2] };
 
+  const extent = (values) => values.reduce(([low, high], v) => [Math.min(low, v), Math.max(high, v)], [Infinity, -Infinity]);
+
   /** A plot as paper.js draws it; what is zoomed is what is saved. */
   function onPaper(plot) {
-    if (plot.rows) return { xLabel: TIME_LABEL, from: (range ?? [plot.begin])[0], to: (range ?? [0, plot.end])[1], rows: plot.rows };
+    const instants = marks.map((mark) => ({ at: mark.time, colour: mark.fault ? FAULT : INK, dash: mark.fault ? [] : [5, 3] }));
+    if (plot.rows) return { xLabel: TIME_LABEL, from: (range ?? [plot.begin])[0], to: (range ?? [0, plot.end])[1], instants, rows: plot.rows };
+    if (plot.mark !== null) instants.push({ at: plot.mark, colour: GREY, dash: [1, 3] });
     const times = plot.times.map(float32), known = times.filter((t) => t.length);
     const whole = [Math.min(...known.map((t) => t[0])), Math.max(...known.map((t) => t[t.length - 1]))];
-    const panels = plot.panels.map((panel) => ({
-      label: panel.label,
-      marks: [panel.limit, panel.limit === null ? null : -panel.limit, panel.floor].filter((v) => v !== null),
-      lines: panel.lines.map((one) => ({ label: one.label, colour: one.colour, dash: DASHES[one.style] ?? [], dots: one.style === ".", x: times[one.time], y: float32(one.values) })),
-    }));
-    return { xLabel: TIME_LABEL, from: (range ?? whole)[0], to: (range ?? whole)[1], panels };
+    const [from, to] = range ?? whole;
+    const panels = plot.panels.map((panel) => {
+      const lines = panel.lines.map((one) => ({ label: one.label, colour: one.colour, dash: DASHES[one.style] ?? [], dots: one.style === ".", x: times[one.time], y: float32(one.values) }));
+      const [low, high] = extent(lines.flatMap(({ x, y }) => y.filter((v, k) => v !== null && x[k] >= from && x[k] <= to)));
+      const marks = [panel.limit, panel.limit === null ? null : -panel.limit, panel.floor].filter((v) => v !== null);
+      return { label: panel.label, range: low > high ? [0, 1] : limits(panel, low, high), marks, band: panel.band, words: panel.told, lines };
+    });
+    return { xLabel: TIME_LABEL, from, to, instants, panels };
   }
 
   function offer(figure, plot) {

@@ -44,7 +44,12 @@ def test_a_film_has_every_picture_at_its_time_and_the_robot_in_it(tmp_path: Path
         ):
             recorder.put(topic, f"shoal/{key}", Header(7, k + 1, stamp_ns), encode(message, stamp_ns), stamp_ns)
     recorder.close()
-    assert write_film(tmp_path, tmp_path / "pool.mp4") == (PICTURES, 0)
+    reports: list[tuple[int, int]] = []
+    assert write_film(tmp_path, tmp_path / "pool.mp4", report=lambda written, of: reports.append((written, of))) == (
+        PICTURES,
+        0,
+    )
+    assert reports == [(k, PICTURES) for k in range(1, PICTURES + 1)]
     with av.open(str(tmp_path / "pool.mp4")) as film:
         frames = list(film.decode(video=0))
     assert [round(frame.time, 3) for frame in frames] == [round(k * 0.05, 3) for k in range(PICTURES)]

@@ -114,7 +114,7 @@ def test_ids_are_unique_and_every_reference_has_its_target(folder: Path, page: P
 def test_every_figure_is_there(page: PageStructure) -> None:
     # robots that keep their depth need no picture in space; no limit was active; nothing says where the time went
     assert page.tags["figure"] == len(figures.FIGURES) - 3
-    assert page.tags["svg"] == 2  # seen from above; the rest are plots over time
+    assert page.tags["svg"] == 2 * 2  # seen from above, each for both widths of a paper; the rest are plots over time
 
 
 def test_table_shows_ours_beside_the_articles(folder: Path, page: PageStructure) -> None:
@@ -146,6 +146,17 @@ def test_a_broken_run_names_its_cause_and_is_not_held_against_the_article(tmp_pa
     lines = list(terminal.lines(result))
     assert re.fullmatch(rf"cause: robot 1 at {result.cause.time_s:.1f} s, at x \S+, y \S+ m: fault: no pose", lines[0])
     assert "article" not in "".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("mode", "text"), [("lockstep", "simulated time"), ("real-time", "by the wall clock"), ("numeric", "numeric")]
+)
+def test_a_summary_says_how_time_went(tmp_path: Path, mode: str, text: str) -> None:
+    """Simulated time may go as fast as the clock: `lockstep` would read as if it had not."""
+    write_run(tmp_path, Script(until_s=3.0, metadata={"mode": mode, "version": "0.1.0"}))
+    result = write_report(tmp_path)
+    assert any(f"seed 1, {text}, " in line for line in terminal.lines(result))
+    assert f"<dt>mode</dt><dd>{text}</dd>" in (tmp_path / "report.html").read_text()
 
 
 def test_the_terminals_table_has_a_labelled_row_a_robot_in_80_columns(folder: Path) -> None:
@@ -288,7 +299,7 @@ def test_the_figure_of_pulses_has_the_echoes_of_the_boards(series: Series) -> No
 
 
 def test_paths_are_seen_from_above(series: Series) -> None:
-    axes = drawn(figures_paths.paths(series)).axes[0]
+    axes = drawn(picture(figures_paths.paths(series))).axes[0]
     bottom, top = axes.get_ylim()
     assert bottom > 1.25 > -1.25 > top  # y grows downwards, and the whole pool is in view
     assert axes.get_aspect() == 1.0
@@ -297,7 +308,7 @@ def test_paths_are_seen_from_above(series: Series) -> None:
 def test_a_ball_in_the_water_is_in_the_figure_of_paths_where_and_as_large_as_it_was(series: Series) -> None:
     sim = series.experiment.sim.model_copy(update={"drifters": (Drifter(radius_m=0.15, start_m=(0.4, -0.2, 0.3)),)})
     crossed = replace(series, experiment=series.experiment.model_copy(update={"sim": sim}))
-    patches = drawn(figures_paths.paths(crossed)).axes[0].patches
+    patches = drawn(picture(figures_paths.paths(crossed))).axes[0].patches
     discs = [patch for patch in patches if isinstance(patch, Circle) and patch.get_label() == "obstacle"]
     assert [[*np.ravel(disc.get_center()), disc.get_radius()] for disc in discs] == [[0.4, -0.2, 0.15]]
 

@@ -83,7 +83,8 @@ export const ended = computed(() => shown.value !== null && (shown.value.ended |
 export const waiting = computed(() => {
   const [state, gone] = [shown.value, !connected.value && now.value - live.arrivedMs > GONE_AFTER_MS];
   if (state?.next === "again" || state?.next === "edited") return gone ? "the program has ended" : "the next run is being started";
-  if (scene.value?.replay !== undefined || gone) return "the program has ended";
+  if (scene.value?.replay !== undefined) return "the program has ended";
+  if (gone) return "no answer: the report takes long, or the program has ended";
   return "the run is over: its report is being written";
 });
 export const alarms = computed<Alarm[]>(() => {

@@ -147,8 +147,13 @@ function paused(state: NonNullable<typeof shown.value>): string {
   return state.replay?.rate === 0 ? ", paused" : "";
 }
 
-/** How long the formation has been flying, on the clock of report and log. */
+const OVER = ["DONE", "CANCELLED", "FAILED"];
+let flying_s: number | null = null; // the last time at which this page saw the mission not over
+
+/** How long the formation has been flying, on the clock of report and log; it stands when the mission is over. */
 function flown(state: NonNullable<typeof shown.value>): string {
-  const s = since(state.replay?.time_s ?? state.time_s);
+  const over = state.replay === undefined && OVER.includes(state.mission);
+  if (!over) flying_s = state.replay?.time_s ?? state.time_s;
+  const s = flying_s === null ? null : since(flying_s);
   return s === null ? "–" : clock(s);
 }
