@@ -181,8 +181,8 @@ def stream(p: Table, by_time: float, kept: float, cos: float, sin: float) -> Non
 
 
 @kernel(part=True)
-def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Floats) -> None:
-    """Move the errors of each filter on by `dt`: e = F e, P = F P F' + Q dt."""
+def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Floats, restless: tuple[float, float]) -> None:
+    """Move the errors of each filter on by `dt`: e = F e, P = F P F' + Q dt. Forces and moments are no more `restless`."""
     half, moved = bank.work[2], bank.work[3, 0]
     cos, sin = math.cos(belief[3]), math.sin(belief[3])
     ahead, across = cos * belief[4] - sin * belief[5] + belief[15], sin * belief[4] + cos * belief[5] + belief[16]
@@ -200,9 +200,10 @@ def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Flo
                 p[i, i] += q[i]
         for i in range(ERRORS):
             mean[i] = moved[i]
-        p[FORCE_U, FORCE_U] += bank.force_m2ps5[j] * dt
-        p[FORCE_V, FORCE_V] += sway * bank.force_m2ps5[j] * dt
-        p[FORCE_R, FORCE_R] += bank.moment_rad2ps5[j] * dt
+        force, moment = min(bank.force_m2ps5[j], restless[0]), min(bank.moment_rad2ps5[j], restless[1])
+        p[FORCE_U, FORCE_U] += force * dt
+        p[FORCE_V, FORCE_V] += sway * force * dt
+        p[FORCE_R, FORCE_R] += moment * dt
         stream(p, sway * bank.by_time_m2ps3[j] * dt, sway * bank.by_place_mps2[j] * way_m, cos, sin)
 
 
