@@ -56,6 +56,7 @@ from robot_agent.vehicle.filter_bank import (
     MeasuredNumber,
     Noise,
     R,
+    Restless,
     U,
     V,
     X,
@@ -92,7 +93,8 @@ RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in 
 BIAS_RADPS_PER_SQRT_S = 1e-5  # the same of the gyroscope's bias: its sensor warms up within minutes
 SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: makers say within 10 %
 OUTLIER = 5.0  # standard deviations: a pose that is farther off counts less
-BEST_M, BEST_RAD = 5e-4, 3e-4  # no pose is better: a hull pitches and rolls. With 0.1 mm robots swung where poses had no noise
+CURRENT_SHARE = 2.0  # a current is learned so much more quickly than a force: it pushes by drag. Flown with 1.4 and 2
+BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
 GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
 DRAG_LOG, MASS_LOG = 0.3, 0.3  # standard deviations of ln drag and ln mass at first, from the vehicle file's,
@@ -145,17 +147,17 @@ def rate_before(samples: Samples, after_ns: int, until_ns: int) -> int:
 
 
 @kernel(part=True)
-def quickest(learned: LearnedModel, sighting: Sighting, has_rate: bool, step_s: float) -> tuple[float, float]:
-    """Largest intensities of restless forces and moments, m^2/s^5 and rad^2/s^5, that filters may assume. The plan gives what
-    they learn back to the thrusters, a delay later: learned more quickly than the delay allows, it makes the robot swing, and
-    the swing is learned. With white noise of the measurement, the bandwidth w is that at which the intensity, integrated to
-    the measured number, is as large: w^6 = intensity / noise for a place, w^4 for a rate."""
+def quickest(learned: LearnedModel, sighting: Sighting, has_rate: bool, step_s: float) -> Restless:
+    """Largest intensities that filters may assume. The plan gives what they learn back to the thrusters, a delay later: more
+    quickly learned than the delay allows, it makes the robot swing, and the swing is learned. The filter's bandwidth w is that
+    at which the intensity, integrated to the measured number, is as large as its noise: w^6 = intensity / noise for a force by
+    places, w^4 for a current by places and for a moment by rates."""
     delay_s = learned.delay_s + 0.5 * step_s
-    turn_radps = TURN_DELAY_SHARE / delay_s
-    turning = turn_radps**6 * sighting.variance_rad2
+    push_radps, turn_radps = DELAY_SHARE / delay_s, TURN_DELAY_SHARE / delay_s
+    by_place, turning = sighting.variance_m2 * step_s, turn_radps**6 * sighting.variance_rad2
     if has_rate:
         turning = min(turning, turn_radps**4 * GYRO_RADPS**2)
-    return (DELAY_SHARE / delay_s) ** 6 * sighting.variance_m2 * step_s, turning * step_s
+    return Restless(push_radps**6 * by_place, turning * step_s, (CURRENT_SHARE * push_radps) ** 4 * by_place)
 
 
 @kernel(part=True)
@@ -167,10 +169,10 @@ def cross(
     there: Floats,
     step_s: float,
     steps: int,
-    restless: tuple[float, float],
+    restless: Restless,
 ) -> None:
     """Move the bank's errors on to the pose, `step_s` later, in equal `steps` between the belief and the state `there`. Forces
-    are no more `restless` than `quickest` says."""
+    and currents are no more `restless` than `quickest` says."""
     f, q, dt = bank.work[0], bank.work[1, 0], step_s / steps
     is_held = True
     for k, most in ((ACTING, learned.most_n), (ACTING + 1, learned.most_n), (ACTING + 2, learned.most_nm)):

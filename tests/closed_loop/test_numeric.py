@@ -36,7 +36,7 @@ def test_the_numeric_scene_is_tracked_to_a_millimetre() -> None:
 
 def test_the_disturbed_scene_is_tracked_to_a_centimetre() -> None:
     place_m, yaw_rad = flown_once("numeric-disturbed", "duration_s=35").settled_rms()
-    assert place_m < 0.01 and yaw_rad < 0.01  # as asked for
+    assert place_m < 0.008 and yaw_rad < 0.01  # asked for: 10 mm, 10 mrad
 
 
 def test_without_the_observer_the_disturbed_scene_is_five_times_worse() -> None:

@@ -207,13 +207,14 @@ def test_the_most_restless_force_makes_a_filter_as_quick_as_the_loop_s_delay_all
     model, delay_s = Model(load_experiment("pool").vehicle), 0.08
     learned = LearnedModel(model.nominal, model.motion, 1.0, 2.0, 0.5, 6.0, 0.5, delay_s)
     sighting = Sighting(0.0, 0.0, 0.0, 0.0015**2, 0.008**2, 1)
-    force, by_pose = quickest(learned, sighting, False, step_s)
-    _, by_rate = quickest(learned, sighting, True, step_s)
+    force, by_pose, current = quickest(learned, sighting, False, step_s)
+    _, by_rate, _ = quickest(learned, sighting, True, step_s)
     loop_s = delay_s + 0.5 * step_s
     for order, intensity, noise, phase_rad in (
         (3, force, 0.0015**2, 0.4),
         (3, by_pose, 0.008**2, 0.6),
         (2, by_rate, GYRO_RADPS**2, 0.6),
+        (2, current, 0.0015**2, 0.8),
     ):
         a, h = np.eye(order, k=1), np.eye(1, order)
         p = solve_continuous_are(a.T, h.T, intensity * np.diag(np.eye(order)[-1]), noise * step_s * np.eye(1))

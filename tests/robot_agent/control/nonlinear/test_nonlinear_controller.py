@@ -126,7 +126,7 @@ def test_hold_rests_where_the_robot_can_stop_without_overshoot(speed_mps: float)
     assert least - 0.02 <= place - begin <= 2.0 * least + 0.10
     for _ in range(300):
         robot.step(goal)
-    assert robot.places[:, 0].max() - place < 0.04  # 37 mm from 0.35 m/s: drag is learned meanwhile
+    assert robot.places[:, 0].max() - place < 0.025  # 12 mm from 0.2 m/s, 23 mm from 0.35 m/s: drag is learned meanwhile
     assert np.hypot(robot.places[-150:, 0] - place, robot.places[-150:, 1]).max() < 0.01
 
 
