@@ -111,6 +111,11 @@ def targets(run: GridRun) -> list[tuple[str, str, str]]:
             "0",
             _share(sum(f.is_stop and f.holds for f in calm), calm),
         ),
+        (
+            "input steps on the path in still water, RMS, of their limit",
+            "20 %",
+            f"{_worst((f.steps for f in calm), 100.0)} %" if calm else "",
+        ),
         ("never settle, orbit, or are led for ever", "0 of 2,000", _share(sum(_is_lost(f) for f in fair), fair)),
         (
             f"eight, {', '.join(MODELS)}: RMS after 20 s, worst",
@@ -208,6 +213,7 @@ PATH_COLUMNS: tuple[Column, ...] = (
     ("Within 5 cm, s", lambda group: _worst((f.settled_s for f in group), 1.0)),
     ("RMS, mm", lambda group: _worst((f.rms_m for f in group), 1e3)),
     ("HOLD, mm", lambda group: _worst((f.hold_m for f in group), 1e3)),
+    ("Steps, %", lambda group: _worst((f.steps for f in group), 100.0)),
     NEES,
 )
 MEETING_COLUMNS: tuple[Column, ...] = (
@@ -240,8 +246,8 @@ def markdown(run: GridRun, before: GridRun | None = None) -> str:
         "",
         "Poses are the simulation's with noise, without a camera. Figures are against the plant's truth; each cell's are",
         f"those of its worst of {_fewest_and_most(run)} flights, which differ in path, control rate (10, 20, 50 Hz), speed,",
-        f"start and sensors. RMS is from 20 s on; HOLD lasts {run.hold_s:g} s, measured from 10 s on. NEES is 1 where the",
-        "observer's covariances are true; shown is the worst group of states.",
+        f"start and sensors. RMS is from 20 s on; HOLD lasts {run.hold_s:g} s, measured from 10 s on. Steps are those of",
+        "the inputs, RMS of their limit. NEES, of the worst group of states, is 1 where the observer's covariances are true.",
         "A flight is lost if it never settles or never comes back.",
         "",
         f"A flight again: `{run.command.format('CELL', 'N')}`. The worst one of all:",

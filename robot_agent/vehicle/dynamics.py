@@ -38,6 +38,8 @@ PerAxis4 = tuple[float, float, float, float]
 State12 = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 STATES = 12
+DELAY_SHARE, TURN_DELAY_SHARE = 0.4, 0.6  # bandwidth times delay: phase lost in the loop, rad
+LAG_SHARE = 0.3  # of the thrusters' lag that counts as delay: the plan knows it, and inverts most of it
 LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
 
 
@@ -151,6 +153,11 @@ def flow_moment_nm(model: Array, velocity: Array) -> float:
     """Munk moment of a model (3, 4) at a velocity (4,) through the water, N m."""
     u, v = velocity[:2].tolist()
     return float((model.item(0) - model.item(1)) * u * v)
+
+
+def loop_delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
+    """Delay of the control loop that a plan cannot take into account: half a period, dead time, part of the lag."""
+    return vehicle.thruster.dead_time_s + 0.5 * period_s + LAG_SHARE * lag_s
 
 
 class Model:

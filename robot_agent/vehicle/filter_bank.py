@@ -73,6 +73,14 @@ class Bank(NamedTuple):
     work: Cube  # (4, ERRORS, ERRORS), overwritten
 
 
+class Restless(NamedTuple):
+    """Largest intensities of changes that filters may assume."""
+
+    force_m2ps5: float
+    moment_rad2ps5: float
+    current_m2ps3: float
+
+
 class MeasuredNumber(NamedTuple):
     """A measured number: `row` of the errors, and `other` besides (-1: none)."""
 
@@ -181,8 +189,8 @@ def stream(p: Table, by_time: float, kept: float, cos: float, sin: float) -> Non
 
 
 @kernel(part=True)
-def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Floats) -> None:
-    """Move the errors of each filter on by `dt`: e = F e, P = F P F' + Q dt."""
+def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Floats, restless: Restless) -> None:
+    """Move the errors of each filter on by `dt`: e = F e, P = F P F' + Q dt. Forces and currents are no more `restless`."""
     half, moved = bank.work[2], bank.work[3, 0]
     cos, sin = math.cos(belief[3]), math.sin(belief[3])
     ahead, across = cos * belief[4] - sin * belief[5] + belief[15], sin * belief[4] + cos * belief[5] + belief[16]
@@ -200,10 +208,13 @@ def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Flo
                 p[i, i] += q[i]
         for i in range(ERRORS):
             mean[i] = moved[i]
-        p[FORCE_U, FORCE_U] += bank.force_m2ps5[j] * dt
-        p[FORCE_V, FORCE_V] += sway * bank.force_m2ps5[j] * dt
-        p[FORCE_R, FORCE_R] += bank.moment_rad2ps5[j] * dt
-        stream(p, sway * bank.by_time_m2ps3[j] * dt, sway * bank.by_place_mps2[j] * way_m, cos, sin)
+        force, moment = min(bank.force_m2ps5[j], restless.force_m2ps5), min(bank.moment_rad2ps5[j], restless.moment_rad2ps5)
+        p[FORCE_U, FORCE_U] += force * dt
+        p[FORCE_V, FORCE_V] += sway * force * dt
+        p[FORCE_R, FORCE_R] += moment * dt
+        most = restless.current_m2ps3 * dt
+        by_time, by_place = min(bank.by_time_m2ps3[j] * dt, most), min(bank.by_place_mps2[j] * way_m, most)
+        stream(p, sway * by_time, sway * by_place, cos, sin)
 
 
 @kernel(part=True)

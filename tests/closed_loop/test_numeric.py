@@ -96,6 +96,18 @@ def test_slow_and_fast_loops_fly_as_the_usual_one(period_s: float) -> None:
     assert np.all(rate < 1.6 * usual_rate)
 
 
+@pytest.mark.parametrize(
+    ("name", "noise_m"), [("pool", 0.0), ("pool", 0.0003), ("pool", 0.0015), ("two-cameras", 0.0), ("open-water", 0.0)]
+)
+def test_no_robot_swings_however_true_its_poses_are(name: str, noise_m: float) -> None:
+    """Poses without noise let an observer follow every force, also those by which the loop itself swings, a delay later."""
+    noise = f"sim.numeric.pose_noise_m={noise_m}", f"sim.numeric.yaw_noise_rad={5.0 * noise_m}"
+    flight = flown_once(name, "duration_s=35", *noise)
+    for states in flight.states:
+        steps = np.array([required(state.control).wrench_step for state in states[flight.settled :]])
+        assert np.all(np.sqrt(np.mean(steps**2, axis=0)) < 0.2 * np.array(flight.experiment.wrench_step))
+
+
 # --- limits
 
 

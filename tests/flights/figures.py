@@ -52,7 +52,7 @@ class FlightFigures:
     back_s: float = math.nan  # from leaving the path for another robot until it is back for good
     nees: dict[str, float] = field(default_factory=dict)  # mean per degree of freedom of each group of states
     duty: float = math.nan  # mean of |wrench| over its limit, worst axis
-    steps: float = math.nan  # RMS of the input's change per step over its limit, worst axis
+    steps: float = math.nan  # after 20 s on the path: RMS of the input's change per step over its limit, worst axis
 
 
 def figures(log: FlightLog) -> FlightFigures:
@@ -100,7 +100,9 @@ def figures(log: FlightLog) -> FlightFigures:
             if (group_nees := [c[group] for c in log.claims if group in c])
         },
         duty=float((np.abs(wrench).mean(axis=1) / log.wrench_limit).max()),
-        steps=float((np.sqrt((step**2).mean(axis=1)) / log.step_limit).max()),
+        steps=_rms(
+            step[:, steady].transpose(1, 0, 2).reshape(-1, step.shape[0] * step.shape[2]) / np.tile(log.step_limit, len(step))
+        ),
     )
 
 

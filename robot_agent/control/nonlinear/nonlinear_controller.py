@@ -36,7 +36,7 @@ from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weight
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle, is_inside
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, interpolate, is_other_goal
-from robot_agent.vehicle.dynamics import flow_moment_nm
+from robot_agent.vehicle.dynamics import flow_moment_nm, loop_delay_s
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.controller import ControllerConfig
 from shoal.frames import Array
@@ -69,7 +69,7 @@ class NonlinearController(Controller):
         rows = int((horizon_s + self._dead_s) / REPORT_S) + 1
         super().__init__(setting, nodes_s, REPORT_S * np.arange(rows, dtype=np.float64))
         self._safety, self._islands = safety, setting.islands
-        self._delay_s = tunings.delay_s(vehicle, config.period_s, self._model.lag_s)
+        self._delay_s = loop_delay_s(vehicle, config.period_s, self._model.lag_s)
         self._step_s = tunings.step_s(vehicle)
         # A leader's error is taken whole, others' in part: those may have been put into the water far from their paths.
         most_m = safety.join_within_m + (0.0 if setting.has_leader else vehicle.limits.speed_mps * horizon_s)

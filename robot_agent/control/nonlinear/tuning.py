@@ -14,14 +14,13 @@ import numpy as np
 from robot_agent.control.nonlinear.prediction import FIRST_S, Hull
 from robot_agent.control.nonlinear.program import InputLimits, Weights
 from robot_agent.guidance.velocity_obstacles import FASTEST_SHARE, Agility
+from robot_agent.vehicle.dynamics import DELAY_SHARE, TURN_DELAY_SHARE, loop_delay_s
 from robot_agent.vehicle.estimate import Deviations, Ratios
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
 
 REACH_SHARE = 0.4  # of the hull's radius: an error of the place that may use the whole force rate
 REACH_RAD = 0.35  # the same of the heading
-DELAY_SHARE, TURN_DELAY_SHARE = 0.4, 0.6  # bandwidth times delay: phase lost in the loop, rad
-LAG_SHARE = 0.3  # of the thrusters' lag that counts as delay: the plan knows it, and inverts most of it
 ROUGH = 0.05  # of the rate limits that noise alone may use
 TRUST = 2.0  # a thrust that is known to 50 % halves the bandwidth
 SHORTEST_S, LONGEST_S = 6.0, 12.0  # horizon: flown from 5 to 14 s; shorter ones do not find the turn round, longer are coarse
@@ -65,11 +64,6 @@ class Manner(NamedTuple):
 def planar_axes(vehicle: Vehicle) -> tuple[int, ...]:
     """The plan's axes that have thrusters."""
     return (SURGE, SWAY, YAW) if vehicle.limits.has_sway else (SURGE, YAW)
-
-
-def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
-    """Delay of the loop that a plan cannot take into account: half a period, dead time, part of the lag."""
-    return vehicle.thruster.dead_time_s + 0.5 * period_s + LAG_SHARE * lag_s
 
 
 def horizon_s(vehicle: Vehicle) -> float:
@@ -202,7 +196,7 @@ def step_s(vehicle: Vehicle) -> float:
 
 def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
     """Quantity, formula and value of everything above, for poses with a noise of 1.5 mm: the table of docs/control.md."""
-    delay = delay_s(vehicle, period_s, vehicle.thruster.lag_s)
+    delay = loop_delay_s(vehicle, period_s, vehicle.thruster.lag_s)
     usual = Deviations(0.001, 0.002, 0.002, 0.002, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
     on_path = derive(vehicle, delay, usual, (4.0, 2.0), 0.0)
     off_path = derive(vehicle, delay, usual, (4.0, 2.0), vehicle.radius_m)

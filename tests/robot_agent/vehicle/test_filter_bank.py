@@ -8,7 +8,7 @@ import pytest
 
 from robot_agent.vehicle import filter_bank
 from robot_agent.vehicle.dynamics import Model, MotionModel, advance
-from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, SIDE, TURN_DRAG, Bank, MeasuredNumber, R, X, Y
+from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, SIDE, TURN_DRAG, Bank, MeasuredNumber, R, Restless, X, Y
 from robot_agent.vehicle.kalman import vehicle_noise
 from shoal.config.vehicle import Vehicle, load_vehicle
 from shoal.frames import Array
@@ -77,10 +77,10 @@ def test_f_is_the_derivative_of_the_step(vehicle: Vehicle) -> None:
         assert rate == pytest.approx(expected, abs=2e-3 * (1.0 + np.abs(expected).max()))
 
 
-@pytest.mark.parametrize("learns", [True, False])
-def test_a_filter_of_the_bank_is_the_dense_one(learns: bool) -> None:
+@pytest.mark.parametrize(("learns", "restless"), [(True, Restless(1.0, 1.0, 1.0)), (False, Restless(1e-3, 5e-3, 1e-5))])
+def test_a_filter_of_the_bank_is_the_dense_one(learns: bool, restless: Restless) -> None:
     """Prediction, and a pose with a yaw rate, against Joseph's form, which holds for any gain; drag's row of it is zero where
-    drag is only considered."""
+    drag is only considered, and forces are no more restless than is allowed."""
     random, bank, dt, yaw = np.random.default_rng(2), random_bank(2), 0.05, 0.7
     f = np.eye(ERRORS) + 0.05 * random.standard_normal((ERRORS, ERRORS)) * (random.random((ERRORS, ERRORS)) < 0.2)
     q = random.uniform(0.0, 1e-3, ERRORS)
@@ -88,13 +88,13 @@ def test_a_filter_of_the_bank_is_the_dense_one(learns: bool) -> None:
     cos, sin = math.cos(yaw), math.sin(yaw)
     belief = np.zeros(filter_bank.NUMBERS)
     belief[[3, 4, 5]], belief[[15, 16]] = (yaw, 0.3, -0.1), (0.2, 0.05)  # over ground: |(0.3 - 0.1i) e^(0.7i) + 0.2 + 0.05i|
-    filter_bank.predict(bank, 1.0, belief, dt, f, q)
+    filter_bank.predict(bank, 1.0, belief, dt, f, q, restless)
     # water of another place: the current has grown by dc, u and v have lost it. Of a later time: they have not
     way_m = dt * abs((0.3 - 0.1j) * complex(cos, sin) + 0.2 + 0.05j)
     g, by_time, force = np.zeros((ERRORS, 2)), np.zeros(ERRORS), np.zeros(ERRORS)
     g[9], g[10], g[3], g[4] = (1.0, 0.0), (0.0, 1.0), (-cos, -sin), (sin, -cos)
-    by_time[9:11], force[6:9] = 2e-5 * dt, np.array([3e-3, 3e-3, 7e-3]) * dt
-    p, mean = f @ p @ f.T + np.diag(q + by_time + force) + 4e-4 * way_m * g @ g.T, f @ mean
+    by_time[9:11], force[6:9] = min(2e-5, restless[2]) * dt, np.minimum([3e-3, 3e-3, 7e-3], [restless[0], *restless[:2]]) * dt
+    p, mean = f @ p @ f.T + np.diag(q + by_time + force) + min(4e-4 * way_m, restless[2] * dt) * g @ g.T, f @ mean
     assert bank.covariance[2] == pytest.approx(p, abs=1e-12)
     likelihood = 0.0
     for measured in (

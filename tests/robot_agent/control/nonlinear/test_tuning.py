@@ -9,7 +9,6 @@ import pytest
 from robot_agent.control.nonlinear.tuning import (
     TILT_RAD,
     Manner,
-    delay_s,
     derive,
     fastest_mps,
     formulas,
@@ -18,6 +17,7 @@ from robot_agent.control.nonlinear.tuning import (
     planar_weights,
     step_s,
 )
+from robot_agent.vehicle.dynamics import loop_delay_s
 from robot_agent.vehicle.estimate import Deviations, Ratios
 from shoal.config.experiment import load_experiment
 from shoal.config.vehicle import Vehicle, load_vehicle
@@ -85,7 +85,7 @@ def test_light_robots_are_integrated_in_shorter_steps() -> None:
     light = vehicle("mass.yaw_kg_m2=0.02")
     slope = (0.08 + 2.0 * 0.10 * 1.9) / 0.02
     assert step_s(light) == pytest.approx(1.0 / slope) and step_s(SPHERICAL) == 0.2
-    assert delay_s(SPHERICAL, 0.05, 0.1) == pytest.approx(0.05 + 0.025 + 0.03)
+    assert loop_delay_s(SPHERICAL, 0.05, 0.1) == pytest.approx(0.05 + 0.025 + 0.03)
 
 
 def test_a_hull_at_its_greatest_speed_is_pitched_no_farther_than_by_thrust_alone() -> None:
