@@ -38,7 +38,6 @@ PerAxis4 = tuple[float, float, float, float]
 State12 = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 STATES = 12
-DELAY_SHARE, TURN_DELAY_SHARE = 0.4, 0.6  # bandwidth times delay: phase lost in the loop, rad
 LAG_SHARE = 0.3  # of the thrusters' lag that counts as delay: the plan knows it, and inverts most of it
 LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
 

@@ -77,7 +77,6 @@ class Restless(NamedTuple):
     """Largest intensities of changes that filters may assume."""
 
     force_m2ps5: float
-    moment_rad2ps5: float
     current_m2ps3: float
 
 
@@ -208,10 +207,10 @@ def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Flo
                 p[i, i] += q[i]
         for i in range(ERRORS):
             mean[i] = moved[i]
-        force, moment = min(bank.force_m2ps5[j], restless.force_m2ps5), min(bank.moment_rad2ps5[j], restless.moment_rad2ps5)
+        force = min(bank.force_m2ps5[j], restless.force_m2ps5)
         p[FORCE_U, FORCE_U] += force * dt
         p[FORCE_V, FORCE_V] += sway * force * dt
-        p[FORCE_R, FORCE_R] += moment * dt
+        p[FORCE_R, FORCE_R] += bank.moment_rad2ps5[j] * dt
         most = restless.current_m2ps3 * dt
         by_time, by_place = min(bank.by_time_m2ps3[j] * dt, most), min(bank.by_place_mps2[j] * way_m, most)
         stream(p, sway * by_time, sway * by_place, cos, sin)

@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_agent.vehicle.dynamics import (
-    DELAY_SHARE,
     LONGEST_STEP_NS,
     STATES,
-    TURN_DELAY_SHARE,
     Commands,
     Model,
     MotionModel,
@@ -93,7 +91,7 @@ RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in 
 BIAS_RADPS_PER_SQRT_S = 1e-5  # the same of the gyroscope's bias: its sensor warms up within minutes
 SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: makers say within 10 %
 OUTLIER = 5.0  # standard deviations: a pose that is farther off counts less
-CURRENT_SHARE = 2.0  # a current is learned so much more quickly than a force: it pushes by drag. Flown with 1.4 and 2
+FORCE_DELAY_SHARE, CURRENT_DELAY_SHARE = 0.6, 0.8  # bandwidth times delay, rad. Flown with 0.4 to 0.6 and 0.6 to 1
 BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
 GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
@@ -147,17 +145,13 @@ def rate_before(samples: Samples, after_ns: int, until_ns: int) -> int:
 
 
 @kernel(part=True)
-def quickest(learned: LearnedModel, sighting: Sighting, has_rate: bool, step_s: float) -> Restless:
+def quickest(learned: LearnedModel, sighting: Sighting, step_s: float) -> Restless:
     """Largest intensities that filters may assume. The plan gives what they learn back to the thrusters, a delay later: more
     quickly learned than the delay allows, it makes the robot swing, and the swing is learned. The filter's bandwidth w is that
-    at which the intensity, integrated to the measured number, is as large as its noise: w^6 = intensity / noise for a force by
-    places, w^4 for a current by places and for a moment by rates."""
-    delay_s = learned.delay_s + 0.5 * step_s
-    push_radps, turn_radps = DELAY_SHARE / delay_s, TURN_DELAY_SHARE / delay_s
-    by_place, turning = sighting.variance_m2 * step_s, turn_radps**6 * sighting.variance_rad2
-    if has_rate:
-        turning = min(turning, turn_radps**4 * GYRO_RADPS**2)
-    return Restless(push_radps**6 * by_place, turning * step_s, (CURRENT_SHARE * push_radps) ** 4 * by_place)
+    at which the intensity, integrated to a place, is as large as the place's noise: w^6 = intensity / noise for a force, and
+    w^4 for a current."""
+    delay_s, noise = learned.delay_s + 0.5 * step_s, sighting.variance_m2 * step_s
+    return Restless((FORCE_DELAY_SHARE / delay_s) ** 6 * noise, (CURRENT_DELAY_SHARE / delay_s) ** 4 * noise)
 
 
 @kernel(part=True)
@@ -351,7 +345,7 @@ def observe(
                 rate_error = samples.sensed[sample, 1] - then[7] - numbers[BIAS]
                 late_s = (stamp_ns - sensed_ns) * 1e-9
             interact(bank, -math.expm1(-step_s / KIND_LASTS_S))
-            restless = quickest(learned, sighting, sample >= 0, step_s)
+            restless = quickest(learned, sighting, step_s)
             cross(learned, bank, noise, numbers, arrived, step_s, steps, restless)
             for i in range(11):
                 numbers[i] = arrived[i]

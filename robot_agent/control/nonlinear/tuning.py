@@ -14,13 +14,14 @@ import numpy as np
 from robot_agent.control.nonlinear.prediction import FIRST_S, Hull
 from robot_agent.control.nonlinear.program import InputLimits, Weights
 from robot_agent.guidance.velocity_obstacles import FASTEST_SHARE, Agility
-from robot_agent.vehicle.dynamics import DELAY_SHARE, TURN_DELAY_SHARE, loop_delay_s
+from robot_agent.vehicle.dynamics import loop_delay_s
 from robot_agent.vehicle.estimate import Deviations, Ratios
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
 
 REACH_SHARE = 0.4  # of the hull's radius: an error of the place that may use the whole force rate
 REACH_RAD = 0.35  # the same of the heading
+DELAY_SHARE, TURN_DELAY_SHARE = 0.4, 0.6  # bandwidth times delay: phase lost in the loop, rad
 ROUGH = 0.05  # of the rate limits that noise alone may use
 TRUST = 2.0  # a thrust that is known to 50 % halves the bandwidth
 SHORTEST_S, LONGEST_S = 6.0, 12.0  # horizon: flown from 5 to 14 s; shorter ones do not find the turn round, longer are coarse

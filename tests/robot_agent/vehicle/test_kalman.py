@@ -12,7 +12,7 @@ from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import NS, Sighting
 from robot_agent.vehicle.estimate import Observation, PoseMeasurement, StateMeasurement
-from robot_agent.vehicle.kalman import GYRO_RADPS, KalmanEstimator, LearnedModel, make_estimator, quickest
+from robot_agent.vehicle.kalman import KalmanEstimator, LearnedModel, make_estimator, quickest
 from shoal.config.controller import EstimatorConfig
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array, wrap
@@ -146,12 +146,11 @@ def test_a_robot_held_in_a_current_does_not_learn_that_the_water_stands() -> Non
 
 
 def test_gaps_and_nonsense_leave_a_covariance_that_is_one() -> None:
-    """Poses missing, twice, wrong by metres, without a variance or without a number, for five minutes; and none of the
-    wrenches that it is told acts. It is without an estimate for a thousandth of the time at most."""
+    """Poses missing, twice, wrong by metres, without a variance or without a number, for five minutes."""
     vehicle, random = load_experiment("pool", ALONE).vehicle, np.random.default_rng(7)
     observer = make_estimator(vehicle, Model(vehicle), EstimatorConfig(kind="kalman"))
     assert isinstance(observer, KalmanEstimator)
-    nonsense, lost = (math.nan, math.inf, -math.inf, 1e300, -1.0, 0.0), 0
+    nonsense = (math.nan, math.inf, -math.inf, 1e300, -1.0, 0.0)
     for k in range(1, 6000):
         now_ns, kind = k * STEP_NS, random.integers(12)
         variance = float(random.choice(nonsense)) if kind < 3 else 2e-6
@@ -160,7 +159,7 @@ def test_gaps_and_nonsense_leave_a_covariance_that_is_one() -> None:
         rate = float(random.choice(nonsense)) if kind == 5 else 0.4
         estimate = observer.update(StateMeasurement(pose, 0.3, rate), now_ns)
         observer.note_wrench(random.uniform(-1.0, 1.0, 3) * vehicle.limits.wrench[:3], now_ns)
-        lost += estimate is None and k >= 20
+        assert estimate is not None or k < 20
         if estimate is not None:
             assert np.isfinite(np.concatenate([estimate.eta, estimate.nu, estimate.disturbance, estimate.action])).all()
             # private: no robot publishes its covariances
@@ -168,7 +167,6 @@ def test_gaps_and_nonsense_leave_a_covariance_that_is_one() -> None:
             # private: no robot publishes its covariances
             p = observer._bank.mixed / np.outer(*[np.sqrt(observer._bank.mixed.diagonal())] * 2)
             assert np.linalg.eigvalsh(p)[0] > -1e-6
-    assert lost <= 6
 
 
 def test_a_belief_that_is_no_number_is_given_up_for_the_next_pose() -> None:
@@ -207,15 +205,9 @@ def test_the_most_restless_force_makes_a_filter_as_quick_as_the_loop_s_delay_all
     model, delay_s = Model(load_experiment("pool").vehicle), 0.08
     learned = LearnedModel(model.nominal, model.motion, 1.0, 2.0, 0.5, 6.0, 0.5, delay_s)
     sighting = Sighting(0.0, 0.0, 0.0, 0.0015**2, 0.008**2, 1)
-    force, by_pose, current = quickest(learned, sighting, False, step_s)
-    _, by_rate, _ = quickest(learned, sighting, True, step_s)
+    force, current = quickest(learned, sighting, step_s)
     loop_s = delay_s + 0.5 * step_s
-    for order, intensity, noise, phase_rad in (
-        (3, force, 0.0015**2, 0.4),
-        (3, by_pose, 0.008**2, 0.6),
-        (2, by_rate, GYRO_RADPS**2, 0.6),
-        (2, current, 0.0015**2, 0.8),
-    ):
+    for order, intensity, noise, phase_rad in ((3, force, 0.0015**2, 0.6), (2, current, 0.0015**2, 0.8)):
         a, h = np.eye(order, k=1), np.eye(1, order)
         p = solve_continuous_are(a.T, h.T, intensity * np.diag(np.eye(order)[-1]), noise * step_s * np.eye(1))
         poles = np.linalg.eigvals(a - p @ h.T @ h / (noise * step_s))
