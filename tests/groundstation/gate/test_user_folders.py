@@ -1,6 +1,8 @@
 """The folders in which a user's programs find each other: the same for every kind of login, and nobody else's."""
 
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,15 +14,17 @@ from groundstation.gate.user_folders import user_folders as folders
 
 
 @pytest.fixture(autouse=True)
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A machine's folders for all users, and no environment."""
-    (tmp_path / "run" / str(os.geteuid())).mkdir(parents=True)
-    (tmp_path / "tmp").mkdir()
-    monkeypatch.setattr(user_folders, "RUN", tmp_path / "run")
-    monkeypatch.setattr(user_folders, "TEMPORARY", tmp_path / "tmp")
+def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A machine's folders for all users, and no environment. Their paths are short enough for a socket."""
     for name in (user_folders.ONLY, "XDG_RUNTIME_DIR", "TMPDIR"):
         monkeypatch.delenv(name, raising=False)
-    return tmp_path
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        machine = Path(folder)
+        (machine / "run" / str(os.geteuid())).mkdir(parents=True)
+        (machine / "tmp").mkdir()
+        monkeypatch.setattr(user_folders, "RUN", machine / "run")
+        monkeypatch.setattr(user_folders, "TEMPORARY", machine / "tmp")
+        yield machine
 
 
 @pytest.mark.parametrize(

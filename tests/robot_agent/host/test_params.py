@@ -31,6 +31,7 @@ def test_an_error_that_comes_before_the_value_is_told_as_what_it_is(code: int, s
     """An armed board refuses a change; on a serial line, the end of its answer may come later."""
     board, client = BoardLink(1), ParameterClient(1)
     client.receive(board.heartbeat(armed=True, healthy=True), 0)
+    client.set("CMD_AGE_MS", 100.0)
     client.receive(board.parameter_error(STATION, "CMD_AGE_MS", 0, code), 0)
     with pytest.raises(ConfigError) as refused:
         answered_value(client, "CMD_AGE_MS")

@@ -378,8 +378,8 @@ def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> No
     """A robot that is met for the first time is asked who it is: by then another order may have been given."""
     station, robot = make_bus(), Obeying(make_bus())
     resume, hold = (
-        station.send_command(messages.Command(messages.CommandKind.RESUME, 1), 1, 2.0),
-        station.send_command(HOLD, 1, 2.0),
+        station.send_command(messages.Command(messages.CommandKind.RESUME, 1), 1, 20.0),
+        station.send_command(HOLD, 1, 20.0),
     )
     overtaken = resume()
     assert (overtaken.accepted, overtaken.reason) == (False, "RESUME was overtaken by a later order")

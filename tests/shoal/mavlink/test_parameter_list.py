@@ -67,7 +67,7 @@ def test_a_board_answers_values_errors_and_words() -> None:
     assert (client.robot_id, client.autopilot, client.values, client.value_count) == (4, "", {"A": 1.0, "B": 2.0}, 2)
     assert client.complete and client.last_words == "hi" and client.objection() == client.silence("cut") == ""
     for system, component, error in ((255, 190, ("A", 3)), (254, 190, None), (255, 191, None)):
-        client.error = None
+        client.ask("A")
         _heard(client, board, dialect.MAVLink_param_error_message(system, component, b"A", -1, 3))
         assert client.error == error
     client.ask("A")
