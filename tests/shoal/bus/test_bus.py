@@ -182,12 +182,15 @@ def test_events_reach_a_late_subscriber_and_states_do_not(make_bus: MakeBus) -> 
 
 
 def test_of_paths_a_late_subscriber_hears_the_last_few(make_bus: MakeBus) -> None:
-    sender, late = make_bus(), make_bus()
+    sender, early, late = make_bus(), make_bus(), make_bus()
+    passed: list[int] = []
+    early.subscribe(topics.TRAJECTORY, None, lambda t, key, header, payload: passed.append(header.stamp_ns))
     paths: list[tuple[str, int]] = []
     last = range(10 - topics.TRAJECTORY.cache_depth, 10)
     for stamp_ns in range(10):
         for robot in (1, 2):
             sender.publish(topics.TRAJECTORY, messages.Trajectory(str(stamp_ns), 0.05), stamp_ns, robot)
+    assert eventually(lambda: passed[-2:] == [9, 9])  # none is under way any more
     late.subscribe(topics.TRAJECTORY, None, lambda t, key, header, payload: paths.append((key, header.stamp_ns)))
     wanted = {(f"shoal/robot/{robot}/trajectory", stamp_ns) for robot in (1, 2) for stamp_ns in last}
     assert eventually(lambda: len(paths) >= len(wanted))
