@@ -36,6 +36,7 @@ from shoal.messages.messages import (
 from tests.page.elements import answer, button, map_of, tile
 from tests.page.flights import PATIENCE_MS, serious
 from tests.page.lone_station import lone_station
+from tests.waiting import eventually
 
 FRESH = StepTiming(board_age_ms=20.0)
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
@@ -140,7 +141,7 @@ def test_of_several_cameras_the_picture_of_one_is_chosen(browser: Browser) -> No
         page.keyboard.press("Escape")  # leaves the choice, and stops nobody
         page.keyboard.press("Escape")
         expect(page.locator(".given")).to_contain_text("stop")
-        assert desk.orders == [CommandKind.STOP]
+        assert eventually(lambda: desk.orders) and desk.orders == [CommandKind.STOP]
 
 
 def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp_path: Path) -> None:
