@@ -29,6 +29,7 @@ from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Command, CommandKind, Mode, Reply, RobotState
 from sim_bridge.sil.ports import free_port
+from tests.full_pipe import full_pipe
 from tests.groundstation.gate.strangers import Sessions, Strangers
 from tests.waiting import eventually, wait_for_line
 
@@ -223,22 +224,15 @@ def test_stop_from_a_folder_that_is_gone_into_an_output_that_nobody_reads(machin
     before = station.stops()
     gone = machine.folder / "gone"
     gone.mkdir()
-    reader, writer = os.pipe()
-    os.set_blocking(writer, False)
-    with pytest.raises(BlockingIOError):
-        while True:
-            os.write(writer, bytes(65536))
-    os.set_blocking(writer, True)
     begin = ["sh", "-c", 'rmdir "$1"; shift; exec "$@"', "sh", str(gone)]
-    terminal = subprocess.Popen(begin + machine.command("stop"), cwd=gone, env=machine.environment({}), stdout=writer)
-    try:
-        assert eventually(lambda: station.stops() > before)
-        assert terminal.poll() is None  # it still waits to be read
-    finally:
-        os.close(reader)
-        os.close(writer)
-        terminal.kill()
-        terminal.wait()
+    with full_pipe() as output:
+        terminal = subprocess.Popen(begin + machine.command("stop"), cwd=gone, env=machine.environment({}), stdout=output)
+        try:
+            assert eventually(lambda: station.stops() > before)
+            assert terminal.poll() is None  # it still waits to be read
+        finally:
+            terminal.kill()
+            terminal.wait()
 
 
 def test_stop_from_another_machine_or_user_over_tls(

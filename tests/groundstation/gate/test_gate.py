@@ -34,6 +34,7 @@ from shoal.messages.codec import Header
 from shoal.messages.messages import Command, CommandKind, Reply
 from shoal.system import programs
 from sim_bridge.sil.ports import free_port
+from tests.full_pipe import full_pipe
 from tests.groundstation.gate.strangers import Strangers
 from tests.planted import executed, plant
 from tests.waiting import eventually
@@ -276,13 +277,7 @@ def test_a_gate_has_places_for_the_router_and_a_door_as_soon_as_it_is_made_and_o
 
 def test_a_guard_whose_station_reads_nothing_goes_on() -> None:
     """Its sentences about strangers are lost; its work is not."""
-    unread, output = os.pipe()
-    os.set_blocking(output, False)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            os.write(output, bytes(4096))
-    os.set_blocking(output, True)
-    with socket.create_server(("127.0.0.1", 0)) as listener:
+    with full_pipe() as output, socket.create_server(("127.0.0.1", 0)) as listener:
         guard = programs.start(
             "groundstation.gate.guard", [str(listener.fileno()), "9", "9"], stdin=subprocess.PIPE, stdout=output,
             inherits=[listener.fileno()],
@@ -296,8 +291,6 @@ def test_a_guard_whose_station_reads_nothing_goes_on() -> None:
         finally:
             guard.kill()
             guard.communicate()
-            os.close(unread)
-            os.close(output)
 
 
 # --- what the guard passes on
