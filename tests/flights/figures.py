@@ -100,9 +100,7 @@ def figures(log: FlightLog) -> FlightFigures:
             if (group_nees := [c[group] for c in log.claims if group in c])
         },
         duty=float((np.abs(wrench).mean(axis=1) / log.wrench_limit).max()),
-        steps=_rms(
-            step[:, steady].transpose(1, 0, 2).reshape(-1, step.shape[0] * step.shape[2]) / np.tile(log.step_limit, len(step))
-        ),
+        steps=float((np.sqrt((step[:, steady] ** 2).mean(axis=1)) / log.step_limit).max()) if end > steady.start else nan,
     )
 
 
