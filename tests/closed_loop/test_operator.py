@@ -113,7 +113,7 @@ def test_a_mission_by_hand(lab: OperatorLab) -> None:
     result = json.loads((lab.folder / "run" / "result.json").read_text())
     assert (result["scene"], result["mode"], result["passed"]) == ("pool", "lockstep", False)
     assert result["cause"]["text"] == "pressed the emergency stop"
-    assert 1.0 < result["duration_s"] < 900.0
+    assert 0.0 < result["duration_s"] < 900.0
     assert (lab.folder / "run" / "report.html").stat().st_size > 10_000
 
 

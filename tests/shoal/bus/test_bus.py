@@ -379,7 +379,11 @@ def test_a_simulator_that_is_started_again_is_told_of_no_fault_from_before(make_
 
 def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> None:
     """A robot that is met for the first time is asked who it is: by then another order may have been given."""
-    station, robot = make_bus(), Obeying(make_bus())
+    station, robot_bus = make_bus(), make_bus()
+    robot = Obeying(robot_bus)
+    robot_bus.announce("agent-1")
+    station.watch_presence()
+    assert eventually(lambda: "agent-1" in station.present)  # before that an order finds nobody
     resume, hold = (
         station.send_command(messages.Command(messages.CommandKind.RESUME, 1), 1, 20.0),
         station.send_command(HOLD, 1, 20.0),
