@@ -33,8 +33,17 @@ from shoal.bus.endpoint import PATIENT_MS
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, DriveVelocity, FaultRequest, Reply, StationHeartbeat, Trajectory
-from shoal.messages.topics import WHOLE_FLEET, Role, process_name
+from shoal.messages.messages import (
+    WHOLE_FLEET,
+    Command,
+    CommandKind,
+    DriveVelocity,
+    FaultRequest,
+    Reply,
+    StationHeartbeat,
+    Trajectory,
+)
+from shoal.messages.topics import Role, process_name
 from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
 

@@ -30,6 +30,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import (
+    WHOLE_FLEET,
     CommandKind,
     DriveVelocity,
     Event,
@@ -39,7 +40,7 @@ from shoal.messages.messages import (
     StationHeartbeat,
     Trajectory,
 )
-from shoal.messages.topics import WHOLE_FLEET, Topic
+from shoal.messages.topics import Topic
 
 BLOCK_NS = 1_000_000_000
 KEPT_BLOCKS = 8

@@ -6,7 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shoal.config.formation_shapes import SHAPES, Shape
+from shoal.config import LARGEST_ROBOT
+from shoal.config.formation_shapes import FORM_USAGE, SHAPES, Shape
 from shoal.config.loader import Section
 from shoal.config.vehicle import NotNegative, Positive
 
@@ -14,7 +15,6 @@ Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]
 
-LARGEST_ROBOT = 49  # the marker of a robot is, unless told otherwise, that of its number, of 50
 MOST_WAYPOINTS = 30_000  # of a path, all laps together: no file has room for more
 
 
@@ -139,7 +139,6 @@ class Change(Section):
     """Ids of the robots in the order of the places. Left out: the shortest ways, or no change."""
 
 
-FORM_USAGE = "[SHAPE [SPACING_M]] [turn DEGREES] [scale FACTOR] [order ID,ID,...] [over SECONDS]"
 PACES_S = (8.0, 14.0, 25.0, 45.0)  # of a change whose duration nobody gave; the first that can be flown
 
 
