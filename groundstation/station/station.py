@@ -161,7 +161,7 @@ class Station:
         )  # fmt: skip
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
-        self._tell()
+        self._log_news()
 
     def _unanswered(self, command: Command) -> int:
         """Number of commands of this kind that the robot has not answered. More would only wait for one another."""
@@ -394,7 +394,8 @@ class Station:
             flown_s=mission.plans.flown.duration_s,
         )
 
-    def _tell(self) -> None:
+    def _log_news(self) -> None:
+        """Log, once each, other versions of the code, the recorder's troubles, and every change of the mission."""
         codes = {f"robot {robot} {view.other_code}" for robot, view in self.views.items() if view.other_code}
         codes |= {self._localizers_code()} - {""}
         for text in sorted(codes - self.codes_told):

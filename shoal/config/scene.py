@@ -136,7 +136,7 @@ class Change(Section):
     turn_rad: float = 0.0
     """Turn of the nodes about the centre."""
     order: Annotated[tuple[int, ...], Field(examples=[(2, 1)])] = ()
-    """Ids of the robots in the order of the places. Left out: by the shortest distances if the shape is new, else as before."""
+    """Ids of the robots in the order of the places. Left out: by shortest distance to a new shape, else as before."""
 
 
 PACES_S = (8.0, 14.0, 25.0, 45.0)  # of a change whose duration nobody gave; the first that can be flown
