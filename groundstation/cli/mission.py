@@ -20,10 +20,8 @@ from groundstation.mission.state_machine import (
     order_named,
     request_named,
 )
-from shoal.config.formation_shapes import SHAPES
-from shoal.config.scene import FORM_USAGE
-from shoal.messages.messages import Command, CommandKind, Outcome, Reply
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.config.formation_shapes import FORM_USAGE, SHAPES
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Reply
 from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, Settings, finite
 from shoal.system.printable import printable
 

@@ -33,8 +33,17 @@ from shoal.bus.endpoint import PATIENT_MS
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, DriveVelocity, FaultRequest, Reply, StationHeartbeat, Trajectory
-from shoal.messages.topics import WHOLE_FLEET, Role, process_name
+from shoal.messages.messages import (
+    WHOLE_FLEET,
+    Command,
+    CommandKind,
+    DriveVelocity,
+    FaultRequest,
+    Reply,
+    StationHeartbeat,
+    Trajectory,
+)
+from shoal.messages.topics import Role, process_name
 from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
 
@@ -152,7 +161,7 @@ class Station:
         )  # fmt: skip
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
-        self._tell()
+        self._log_news()
 
     def _unanswered(self, command: Command) -> int:
         """Number of commands of this kind that the robot has not answered. More would only wait for one another."""
@@ -385,7 +394,8 @@ class Station:
             flown_s=mission.plans.flown.duration_s,
         )
 
-    def _tell(self) -> None:
+    def _log_news(self) -> None:
+        """Log, once each, other versions of the code, the recorder's troubles, and every change of the mission."""
         codes = {f"robot {robot} {view.other_code}" for robot, view in self.views.items() if view.other_code}
         codes |= {self._localizers_code()} - {""}
         for text in sorted(codes - self.codes_told):

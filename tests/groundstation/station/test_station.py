@@ -38,6 +38,7 @@ from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
+    WHOLE_FLEET,
     BoardReading,
     CameraHealth,
     Command,
@@ -57,7 +58,6 @@ from shoal.messages.messages import (
     Track,
     Trajectory,
 )
-from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.runtime import Stop, WallClock, run_steps, wait
 from shoal.runtime.version import code
 from sim_bridge.lockstep.clock import LockstepClock
