@@ -47,6 +47,7 @@ _JUDGED = 0.5  # share of the pool's cells; with fewer of them watched the detec
 _LEARNS = "the localizer learns what the water looks like"
 _CHANGED = "the light changed or the camera moved, and the localizer learns anew what the water looks like"
 _HIDDEN = "too little of the pool is in sight"
+_FAILED = "the obstacle watch failed, and the localizer learns anew what the water looks like"
 
 _LEGS_M = 0.025  # m, reach of a robot's legs and trim beyond its hull
 _CELLS_AROUND = 1.5  # cells around a robot that show part of it: half a cell's reach, and the averaging over neighbours
@@ -60,7 +61,7 @@ class ObstacleDetector:
     """The detector of one camera: call `step` once per frame, in order, with the robots that the localizer sees."""
 
     def __init__(self, experiment: Experiment) -> None:
-        self._view = RefractiveCamera(experiment.camera)
+        self._experiment, self._view = experiment, RefractiveCamera(experiment.camera)
         self._shape_px = experiment.camera.size_px[::-1]
         self._grid = CellGrid(experiment.camera.size_px)
         self._depth_m, self._safety = experiment.path.depth_m, experiment.safety
@@ -113,6 +114,15 @@ class ObstacleDetector:
         share = int(np.count_nonzero(watched)) / max(int(np.count_nonzero(self._in_pool)), 1)
         self._blind_reason = _HIDDEN if share >= _JUDGED else self._blind_reason
         return self._message(share, stamp_ns)
+
+    def begun_anew(self, stamp_ns: int) -> "tuple[ObstacleDetector, Obstacles]":
+        """A detector that learns the water anew, after an error in this one, and its message: blind, with the obstacles that
+        this one has told of."""
+        detector = ObstacleDetector(self._experiment)
+        detector._remembered, detector._blind_reason = (*self._remembered, *self._reported), _FAILED
+        detector._tracker = self._tracker  # whose numbers go on
+        detector._tracker.clear()
+        return detector, detector._message(0.0, stamp_ns)
 
     # --- in the order of `step`
 

@@ -251,6 +251,23 @@ def test_when_a_lamp_is_switched_it_is_blind_and_goes_on_telling_what_was_there(
     assert np.linalg.norm(last.velocity[1 - last.ids.index(resting)] - DRIFTING.velocity) < 0.04
 
 
+def test_after_an_error_it_is_blind_and_goes_on_telling_what_was_there() -> None:
+    renderer, watcher, random, looks = _renderer(), ObstacleDetector(EXPERIMENT), np.random.default_rng(1), list[Obstacles]()
+    fault = round((LEARNT_S + 1.0) / LOOK_S)
+    for k in range(fault + 5):
+        frame = renderer.render(standing(0.0), np.zeros((2, 4)), k * LOOK_S, k)
+        frame = draw(frame, STILL, k * LOOK_S - LEARNT_S, k * LOOK_S, random) if k * LOOK_S >= LEARNT_S else frame
+        if k == fault:
+            watcher, look = watcher.begun_anew(k * 100_000_000)
+        else:
+            look = watcher.step(frame, k * 100_000_000, standing(0.0)[:, :3])  # type: ignore[assignment]
+        looks.append(look)
+    before = looks[fault - 1]
+    assert len(before.ids) == 1 and not before.blind
+    for k, look in enumerate(looks[fault:], start=1):
+        assert "failed" in look.blind and look.ids == before.ids and look.unseen_s == pytest.approx([k * LOOK_S])
+
+
 def test_when_the_camera_is_bumped_the_pool_never_looks_empty() -> None:
     """It is blind, or takes the edges of everything for obstacles; either keeps robots from going on as if it were clear."""
     looks = disturbed("bump 60", LEARNT_S + 1.0, LEARNT_S + 6.0)
