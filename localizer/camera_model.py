@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from localizer import kernels
 from shoal.config.loader import Section
@@ -103,10 +103,6 @@ class RefractiveCamera:
         slant = float(np.linalg.norm(point - camera)) / max(float(point[2] - camera[2]), 1e-9)
         return slant * (max(float(point[2]), 0.0) - index * float(min(camera[2], 0.0)))
 
-    def shows(self, points: Array) -> NDArray[np.bool_]:
-        """Mask (n,) of pool points (n, 3) that lie before the lens. Those behind it have pixels too: mirrored ones."""
-        return np.asarray((points - self.numbers[9:12]) @ self._pool_to_camera[2] > 0.0)
-
     def pixel_to_pool(self, points_px: ArrayLike, depth_m: ArrayLike) -> Array:
         """Map pixels (..., 2) to pool x, y (..., 2) on the planes at `depth_m` (scalar or (...))."""
         pixels = np.asarray(points_px, dtype=np.float64)
@@ -115,7 +111,7 @@ class RefractiveCamera:
         return places
 
     def pool_to_pixel(self, points_pool: ArrayLike) -> Array:
-        """Map pool points (..., 3) to pixels (..., 2)."""
+        """Map pool points (..., 3) to pixels (..., 2); NaN for points that do not lie before the lens."""
         points = np.asarray(points_pool, dtype=np.float64)
         pixels = np.empty((*points.shape[:-1], 2))
         kernels.pixels_of(self.numbers, _rows(points), pixels.reshape(-1, 2))

@@ -137,10 +137,16 @@ class ObstacleDetector:
             places[:, 0, :, :2] += reach * _RING
             places[:, 1, :, :2] += shade[:, None, None] * _RING
             places[:, 1, :, 2] = self._floor_m
-            for robot, shadow in self._in_cells(self._view.pool_to_pixel(places)):
-                cv2.fillConvexPoly(hidden, robot, 1, shift=_FRACTION_BITS)
-                cv2.fillConvexPoly(shaded, shadow, 1, shift=_FRACTION_BITS)
+            for robot_px, shadow_px in self._view.pool_to_pixel(places):
+                self._fill(hidden, robot_px)
+                self._fill(shaded, shadow_px)
         return hidden.astype(np.bool_), shaded.astype(np.bool_)
+
+    def _fill(self, mask: NDArray[np.uint8], corners_px: Array) -> None:
+        """Fill a convex polygon, without its corners behind the lens, which are NaN."""
+        before = corners_px[~np.isnan(corners_px[:, 0])]
+        if len(before) > 2:
+            cv2.fillConvexPoly(mask, self._in_cells(before), 1, shift=_FRACTION_BITS)
 
     def _foreground(self, distance: Planes, watched: Mask) -> NDArray[np.uint8]:
         """Mask of the cells that are at least half covered by an object."""

@@ -13,7 +13,8 @@ from shoal.config.experiment import load_experiment
 from shoal.config.perception import Camera
 from shoal.errors import ConfigError
 from shoal.frames import Array
-from tests.localizer.cameras import CAMERA, TILTED
+from sim_bridge.camera.optics import project
+from tests.localizer.cameras import ASLANT, CAMERA, TILTED
 
 CAMERAS = pytest.mark.parametrize("camera", [CAMERA, TILTED], ids=["pool", "tilted"])
 
@@ -98,6 +99,18 @@ def test_tangent_is_the_derivative(camera: Camera, x: float, y: float, depth_m: 
     for column, (du, dv, dz) in enumerate(((h, 0, 0), (0, h, 0), (0, 0, h if depth_m > 0 else -h))):
         moved = view.pixel_to_pool(tangent.pixel + np.array([du, dv]), depth_m + dz) - np.array([x, y])
         assert tangent.jacobian[:, column] == pytest.approx(moved / (du + dv + dz), abs=2e-5)
+
+
+def test_points_behind_the_lens_have_no_pixel() -> None:
+    """They would have mirrored ones, some of them in the picture. The simulator's camera, written without ours, agrees."""
+    points = np.random.default_rng(1).uniform([-6.0, -4.0, -2.5], [6.0, 4.0, 1.2], (3000, 3))
+    pixels, expected = RefractiveCamera(ASLANT).pool_to_pixel(points), project(ASLANT, points)
+    behind = np.isnan(expected[:, 0])
+    assert 500 < behind.sum() < 2500 and (np.isnan(pixels).any(axis=1) == behind).all()
+    assert pixels[~behind] == pytest.approx(expected[~behind], rel=1e-6, abs=1e-6)
+    level = ASLANT.model_copy(update={"rotation_rad": (0.0, 0.0, 0.0)})
+    for place in (level.position_m, np.add(level.position_m, [1.0, 0.0, 0.0])):  # in the lens, and beside it
+        assert np.isnan(RefractiveCamera(level).pool_to_pixel(np.array(place))).all()
 
 
 def test_no_points_is_no_trouble() -> None:

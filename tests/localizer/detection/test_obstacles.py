@@ -26,6 +26,7 @@ from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.camera.scene import water_colour
+from tests.localizer.cameras import ASLANT
 from tests.localizer.scene import Pixels, bayer
 
 pytestmark = pytest.mark.long
@@ -201,6 +202,20 @@ def test_a_robot_nobody_knows_of_is_an_obstacle() -> None:
     last = watch(LEARNT_S + 4.0, drifting, reported_places=told)[-1]
     centres = last.obstacles.outline.mean(axis=1)
     assert np.linalg.norm(centres - last.robots[1, :2], axis=1).min(initial=9.0) < RADIUS_M
+
+
+def test_a_robot_behind_a_camera_that_looks_aslant_hides_nothing_in_its_picture() -> None:
+    """Of several cameras one is told of robots that another one sees."""
+    pool = EXPERIMENT.pool.model_copy(update={"size_m": (8.0, 4.0, 1.2)})
+    experiment = EXPERIMENT.model_copy(update={"camera": ASLANT, "pool": pool})
+    frames = np.random.default_rng(1).integers(80, 90, (80, 960, 1280), dtype=np.uint8)
+    for place in np.linspace([-3.7, 0.0, 0.3], [-1.9, 0.0, 0.3], 12):
+        hidden, shaded = ObstacleDetector(experiment)._robots(place[None])
+        assert not hidden.any() and shaded.mean() < 0.05, place
+    watcher = ObstacleDetector(experiment)
+    for k, frame in enumerate(frames):
+        look = watcher.step(frame, k * 100_000_000, np.array([[-2.04, 0.0, 0.3]]))
+    assert look is not None and look.watched > 0.9 and not look.blind
 
 
 def test_small_thing_is_no_obstacle() -> None:
