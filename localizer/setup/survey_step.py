@@ -69,14 +69,18 @@ class SurveyStep:
         self.points.pop(name, None)
         self.residuals.pop(name, None)
 
-    def fit(self, camera: Camera, grey: Pixels | None) -> PoseFit:
-        """The camera's pose; markers are looked for in the grey picture. Raises ConfigError."""
+    def fit(self, camera: Camera, grey: Pixels | None) -> tuple[PoseFit, tuple[SurveyPoint, ...]]:
+        """The camera's pose, and the points that it is from: others may change them meanwhile. Markers are looked for in the
+        grey picture. Raises ConfigError."""
         points = tuple(self.points.values())
         table = {"pool": self._pool.model_dump(), "points": [point.model_dump() for point in points]}
         check(SurveyFile, table, "the survey")
-        pose_fit = fit_pose(camera, points, seen_pixels(points, grey, self._family))
-        self.residuals = _residuals(pose_fit, points)
-        return pose_fit
+        return fit_pose(camera, points, seen_pixels(points, grey, self._family)), points
+
+    def note_errors(self, fit: PoseFit, points: Sequence[SurveyPoint]) -> None:
+        """Keep the errors of a fit, of the points that are still as they were for it."""
+        unchanged = {point.name for point in points if self.points.get(point.name) == point}
+        self.residuals = {name: error for name, error in _residuals(fit, points).items() if name in unchanged}
 
 
 def _residuals(fit: PoseFit, points: Sequence[SurveyPoint]) -> dict[str, PointResidual]:
