@@ -51,7 +51,7 @@ def _check_lens(experiment: Experiment) -> None:
     camera = experiment.camera
     if (fold := fold_px(Intrinsics.of(camera))) > LARGEST_FOLD_PX:
         raise ConfigError(
-            f"{experiment.name}: camera.distortion = {list(camera.distortion)}: cannot be undone at the picture's edge "
+            f"{experiment.name}: camera.distortion = {list(camera.distortion)}: cannot be undone in all of the picture "
             f"({fold:.1f} px off), so places there would be wrong: calibrate again (docs/calibration.md), or take a lens "
             "that is less wide"
         )

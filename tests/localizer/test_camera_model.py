@@ -117,9 +117,11 @@ def test_no_points_is_no_trouble() -> None:
     assert RefractiveCamera(CAMERA).linearize([], []) == []
 
 
-def test_an_experiment_whose_lens_cannot_be_undone_is_refused() -> None:
-    """r (1 - 0.5 r^2) turns back at r = 0.82, which this wide picture reaches: pixels beyond have no place in the pool."""
-    settings = ["camera.focal_px=[600.0, 600.0]", "camera.distortion=[-0.5, 0.0, 0.0, 0.0, 0.0]"]
-    with pytest.raises(ConfigError, match=r"pool: camera\.distortion = .* cannot be undone at the picture's edge"):
+@pytest.mark.parametrize("distortion", ["[-0.5, 0.0, 0.0, 0.0, 0.0]", "[-0.576, -0.695, 0.0, 0.0, 0.743]"])
+def test_an_experiment_whose_lens_cannot_be_undone_is_refused(distortion: str) -> None:
+    """r (1 - 0.5 r^2) turns back at r = 0.82, which this wide picture reaches: pixels beyond have no place in the pool. With
+    k3 it turns back twice, and all is well again at the edge."""
+    settings = ["camera.focal_px=[598.0, 598.0]", f"camera.distortion={distortion}"]
+    with pytest.raises(ConfigError, match=r"pool: camera\.distortion = .* cannot be undone in all of the picture"):
         with_camera(load_experiment("pool", settings), "")
     with_camera(load_experiment("pool"), "")  # as it is shipped
