@@ -10,12 +10,20 @@ from itertools import product
 import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose, place_errors_m
-from localizer.calibration.survey_points import CORNER_REACH_PX, SurveyFile, SurveyPoint, refined_corner, seen_pixels
+from localizer.calibration.survey_points import (
+    CORNER_REACH_PX,
+    SurveyFile,
+    SurveyPoint,
+    marker_fault,
+    refined_corner,
+    seen_pixels,
+)
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import Pixels
 from shoal.config.loader import check
 from shoal.config.perception import Camera, MarkerFamily
 from shoal.config.scene import PoolConfig
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 
@@ -60,8 +68,11 @@ class SurveyStep:
                 else f"at a corner {moved:.1f} px from the click"
             )
         table = {"name": name, "pool_m": pool_m, "pixel_px": pixel, "marker_id": marker_id}
+        point = check(SurveyPoint, {k: v for k, v in table.items() if v is not None}, "this point")
+        if fault := marker_fault(point, self._family):
+            raise ConfigError(f"this point: {fault}")
         self.residuals.pop(name, None)
-        self.points[name] = check(SurveyPoint, {k: v for k, v in table.items() if v is not None}, "this point")
+        self.points[name] = point
         return message
 
     def remove(self, name: str) -> None:
@@ -73,7 +84,11 @@ class SurveyStep:
         """The camera's pose, and the points that it is from: others may change them meanwhile. Markers are looked for in the
         grey picture. Raises ConfigError."""
         points = tuple(self.points.values())
-        table = {"pool": self._pool.model_dump(), "points": [point.model_dump() for point in points]}
+        table = {
+            "pool": self._pool.model_dump(),
+            "points": [point.model_dump() for point in points],
+            "marker_family": self._family,
+        }
         check(SurveyFile, table, "the survey")
         return fit_pose(camera, points, seen_pixels(points, grey, self._family)), points
 

@@ -495,6 +495,20 @@ def test_a_pose_is_told_by_the_points_that_it_is_from(
     assert {row["name"] for row in state["residuals"]} == {point["name"] for point in state["points"]} - {arguments["name"]}
 
 
+def test_a_point_may_have_any_marker_of_the_experiments_family(file: Path) -> None:
+    point = {"name": "a", "pool_m": [0.0, 0.0, 0.0], "marker_id": 120}
+    with pytest.raises(ConfigError, match=r"'a': marker_id = 120: 4x4_50 has no such marker"):
+        do(begin(file), "point", **point)
+    file.write_text(LAB + '\n[localizer]\nmarker_family = "apriltag_36h11"\n', encoding="utf-8")
+    session = begin(file)
+    do(session, "point", **point)
+    for k, place in enumerate([[0.4, 0.0, 0.0], [0.4, 0.3, 0.0], [-0.4, 0.3, 0.0]]):
+        do(session, "point", name=str(k), pool_m=place, pixel_px=[100.0 * k + 50.0, 90.0 + 30.0 * (k % 2)])
+    show(session, pool_picture())
+    with pytest.raises(ConfigError, match="marker_id = 120: 0 markers of that id are in the picture"):
+        do(session, "fit-pose")
+
+
 def test_no_number_is_no_request(file: Path) -> None:
     """The grid is drawn at the depth that a page asks for, for all pages."""
     session = begin(file)
