@@ -260,11 +260,11 @@ class Station:
     def on_operator_command(self, header: Header, command: Command) -> Reply:
         """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A TUNE without gains
         goes back to the gains before the last change."""
-        if command.about:
+        if command.about and command.order is CommandKind.NONE:
             outcome = self.requests.outcome(command.about)
             reason = "" if outcome is not None else f"request {command.about} is not known here (any more)"
             return Reply(WHOLE_FLEET, outcome is not None, reason, outcome=outcome)
-        if command.tuning is not None:
+        if command.tuning is not None and command.order is CommandKind.TUNE:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:

@@ -32,7 +32,12 @@ class _Wire(MemoryTransport):
         self.commands.append(decode(Command, payload, "", ""))
         if self.replies:
             reply = self.replies.pop(0)
-            return lambda: reply if reply is not None or time.sleep(self.silent_s) else None
+
+            def answer() -> bytes | None:
+                time.sleep(self.silent_s if reply is None else 0.0)
+                return reply
+
+            return answer
         return super().ask(key, payload, header, timeout_s)
 
 
