@@ -22,8 +22,7 @@ from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.state_machine import READY, MissionState, in_words, rejection_reason
 from groundstation.mission.station_core import StationCore
-from groundstation.planning.feasibility import PlanError
-from groundstation.planning.prioritized_planning import OutOfTime
+from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
 from groundstation.web.backend import Status
