@@ -100,7 +100,9 @@ def check(experiment: Experiment, options: RunOptions) -> None:
         )
     if options.poses:
         fault_schedule.require_kinds(
-            experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker", "water")), "--poses needs no camera"
+            experiment,
+            ("water gust", *(kind for kind in KINDS if kind not in ("camera", "marker", "water"))),
+            "--poses needs no camera",
         )
 
 
