@@ -95,7 +95,7 @@ def _faults() -> Iterator[str]:
     yield f"# Faults that can be injected\n\n{LAID}"
     yield "Each is a line after `--fault` or a table `[[sim.faults]]` ([simulation.md](simulation.md)), as in"
     yield "`--fault 't=20 for=5 thruster 2/3 weak 0.5'`: at 20 s, for 5 s, thruster 3 of robot 2. A value may be left out."
-    yield "*In*: 1 `sil --real-time`, 2 `sil` in lockstep, 3 `numeric`.\n"
+    yield "*In*: 1 `sil --real-time`, 2 `sil`, 3 `numeric`.\n"
     yield "| Fault | What happens | Value | In |\n|---|---|---|---|"
     for kind, (target, effects) in KINDS.items():
         for name, effect in effects.items():

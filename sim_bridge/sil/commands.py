@@ -68,7 +68,7 @@ def time_in_words(options: RunOptions) -> str:
     if not options.lockstep:
         return "by the wall clock"
     if options.pace is None:
-        words = "in lockstep, as fast as the machine can"
+        words = "in simulated time, as fast as the machine can"
     elif options.pace == REAL_TIME_PACE:
         words = "in real time, slower while the machine is busy"
     else:

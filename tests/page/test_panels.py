@@ -162,7 +162,7 @@ def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp
         expect(page.locator("[data-run='now']")).to_contain_text("this run")
         expect(page.locator("[data-run='now']").get_by_role("button", name="Delete")).to_be_disabled()
         expect(page.locator("[data-run='first']")).to_contain_text("#lamp")
-        expect(page.locator("[data-run='first']")).to_contain_text("pool, lockstep40 s1.5 MBfailed")
+        expect(page.locator("[data-run='first']")).to_contain_text("pool, simulated time40 s1.5 MBfailed")
         page.get_by_label("Runs with these words").fill("LAMP failed")
         expect(rows).to_have_count(1)
         with page.expect_popup() as opened:
