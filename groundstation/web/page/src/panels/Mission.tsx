@@ -116,7 +116,6 @@ function Given() {
 
 /** A stop of this page without an answer. */
 function Unheard() {
-  if (!stopUnheard.value) return null;
   return (
     <div class="stopped" role="alert">
       <h3>Emergency stop not heard</h3>
@@ -126,9 +125,8 @@ function Unheard() {
 }
 
 /** After a stop: who has confirmed, by name. Stays until the stop is cleared. */
-function Stopped({ state }: { state: Snapshot }) {
+function Confirmations({ state }: { state: Snapshot }) {
   now.value; // who is no longer heard confirms nothing
-  if (!state.stop) return null;
   const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.sentMs);
   const waiting = state.robots.filter((robot) => !stopped(robot));
   return (
@@ -155,6 +153,18 @@ function Stopped({ state }: { state: Snapshot }) {
       </button>
       <p class="hint">The run goes on after Clear stop: Return to start, then Start. End run shows its verdict and its replay.</p>
     </div>
+  );
+}
+
+/** What became of an emergency stop. */
+export function Stopped() {
+  const state = shown.value;
+  if (state === null || scene.value?.mode === "replay" || ended.value) return null;
+  return (
+    <>
+      {stopUnheard.value && <Unheard />}
+      {state.stop && <Confirmations state={state} />}
+    </>
   );
 }
 
@@ -285,8 +295,6 @@ export function Mission() {
   return (
     <section class="mission" aria-label="Mission">
       <h2>Mission</h2>
-      <Unheard />
-      <Stopped state={state} />
       {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
       <Folder state={state} />
       {state.flown && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}
