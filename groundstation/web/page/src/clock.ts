@@ -3,9 +3,6 @@
 
 import { shown } from "./store";
 
-const AT_REST = ["WAITING", "LOADING", "ARMING", "STOPPED", "DONE", "CANCELLED", "FAILED"]; // no flight is under way
-let flying_s: number | null = null; // the last time at which this page saw the mission fly
-
 /** When the flight began, by the station's clock; null while nothing has been started. */
 export function began(): number | null {
   return shown.value?.began_s ?? null;
@@ -15,13 +12,6 @@ export function began(): number | null {
 export function since(time_s: number): number | null {
   const begun = began();
   return begun === null ? null : time_s - begun;
-}
-
-/** How long the formation has been flying; it stands when the flight is over. Null while nothing has been started. */
-export function flown(): number | null {
-  const state = shown.value;
-  if (state !== null && (state.replay !== undefined || !AT_REST.includes(state.mission))) flying_s = state.replay?.time_s ?? state.time_s;
-  return flying_s === null ? null : since(flying_s);
 }
 
 /** A time for people: seconds of the flight; before any flight the time of day, or nothing where time is simulated. */

@@ -1,10 +1,10 @@
 /** What the plots show: one row per tenth of a second since the page connected and the station's own rows before, a column per curve. Of a
  * recorded run, the whole run from the first. */
 
-import { began } from "./clock";
+import { began, since } from "./clock";
 import { fieldOf, valueAt } from "./fields";
 import type { RobotState } from "./messages";
-import { isAlone, onSamples, type Sample, scene } from "./store";
+import { isAlone, onSamples, type Sample, scene, shown } from "./store";
 import type { Scene } from "./wire";
 
 const ROW_S = 0.1;
@@ -14,6 +14,7 @@ const COARSE_ROBOTS = 3600;
 const OLD_MS = 1000; // of silence: what was said before draws nothing, or a curve would go on as if it were heard
 const SPARE_ROWS = 300; // dropped at a time: shifting arrays for every row would cost more than drawing them
 
+const AT_REST = ["WAITING", "LOADING", "ARMING", "STOPPED", "DONE", "CANCELLED", "FAILED"]; // no flight is under way
 const FLIES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
 const WAIT_SHOWN_S = 60;
 let flew_s = -Infinity; // the last time at which a robot flew
@@ -22,6 +23,14 @@ let flew_s = -Infinity; // the last time at which a robot flew
 export function flight(first_s: number, last_s: number): [from_s: number, to_s: number] {
   const [from_s, to_s] = [Math.max(began() ?? Infinity, first_s), Math.min(flew_s, last_s)];
   return from_s < to_s ? [from_s, to_s] : [last_s - WAIT_SHOWN_S, last_s];
+}
+
+/** How long the formation has been flying; it stands when the flight is over. Null while nothing has been started. */
+export function flown(): number | null {
+  const state = shown.value;
+  if (state === null) return null;
+  const at_s = state.replay?.time_s ?? (AT_REST.includes(state.mission) ? flew_s : state.time_s);
+  return Number.isFinite(at_s) ? since(at_s) : null;
 }
 
 interface Curve {

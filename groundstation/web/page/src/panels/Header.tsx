@@ -1,7 +1,8 @@
 /** The top line: what is flown, where the mission stands, who has control, and the emergency stop. */
 
-import { clock, flown } from "../clock";
+import { clock } from "../clock";
 import { isLight, setTheme } from "../colours";
+import { flown } from "../history";
 import { order, releaseControl, takeControl } from "../link";
 import { ask } from "../Question";
 import { mayAlarm, soundOn, toggleSound } from "../sound";

@@ -5,6 +5,7 @@ import { OtherFlight, OtherFlightButton } from "./OtherFlight";
 import { TypedPlace } from "./TypedPlace";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
+import { robotNames, together } from "../robot/names";
 import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
@@ -56,13 +57,11 @@ function Preflight({ state }: { state: Snapshot }) {
         Preflight: {ready} of {robots.length} ready
       </h3>
       <ul>
-        {robots
-          .filter(({ id }) => robots.length <= 6 || reasons.has(id))
-          .map(({ id }) => (
-            <li key={id} class={reasons.has(id) ? "no" : "yes"}>
-              <b>{reasons.has(id) ? "✕" : "✓"}</b> robot {id} {reasons.get(id)?.join("; ") ?? "ready"}
-            </li>
-          ))}
+        {together(robots.map(({ id }) => ({ id, why: reasons.get(id)?.join("; ") })), ({ why }) => why ?? "").map(([{ id, why }, ...others]) => (
+          <li key={id} class={why !== undefined ? "no" : "yes"}>
+            <b>{why !== undefined ? "✕" : "✓"}</b> {robotNames([id, ...others.map((other) => other.id)])} {why ?? "ready"}
+          </li>
+        ))}
       </ul>
     </div>
   );
@@ -133,7 +132,7 @@ function Confirmations({ state }: { state: Snapshot }) {
     <div class="stopped" role="alert">
       <h3>Emergency stop</h3>
       <ul>
-        {state.robots.map((robot) => {
+        {[...waiting, ...state.robots.filter(stopped)].map((robot) => {
           const done = stopped(robot);
           const once = robot.state?.mode === "STOPPED";
           return (
