@@ -455,7 +455,7 @@ class Mission:
         contact = self.plans.first_contact(fleet, now_ns)  # takes a millisecond: not before the other checks
         if contact:
             event = MissionEvent.TRANSFER_BLOCKED if segment.is_separate(progress_s) else MissionEvent.OBSTACLE
-            return event, f"something lies {contact}"
+            return event, contact
         if self.state is MissionState.RETURNING:
             return None
         slowed = self.governor.slowed
