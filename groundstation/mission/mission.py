@@ -26,7 +26,7 @@ from groundstation.mission.objections import (
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanManager, PlanRequest
 from groundstation.mission.progress_governor import ProgressGovernor
-from groundstation.mission.roster import Leader, Roster
+from groundstation.mission.roster import LED, Leader, Roster
 from groundstation.mission.state_machine import (
     AT_REST,
     COMMITTED,
@@ -240,7 +240,7 @@ class Mission:
         self._needs_operator = True
         self.roster.led_by[robot] = Leader.PERSON
         if self.takes_out(order) and robot not in self.roster.lost:
-            self.roster.mark_lost(robot, "led by a person")
+            self.roster.mark_lost(robot, LED)
 
     def note_water(self, robot: int, is_out: bool) -> None:
         """Take note that a robot is out of the water, or back in it. Somebody's hands are in the water: an automatic mission
