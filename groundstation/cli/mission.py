@@ -289,7 +289,8 @@ def fault(
         str, typer.Argument(metavar="WHAT", help="What breaks, as with --fault, and `for SECONDS`; `repair` mends it all.")
     ],
 ) -> tuple[str, Command]:
-    """Break something in a simulated run, now. The log keeps it, and `sim-bridge sil --from` repeats it, a dead radio apart.
+    """Break something in a simulated run, now. The log keeps it, and `sim-bridge sil --from` repeats those of thrusters, IMU and
+    battery.
 
     Examples:  groundstation mission fault "thruster 2/3 dead"
 
