@@ -289,8 +289,8 @@ def fault(
         str, typer.Argument(metavar="WHAT", help="What breaks, as with --fault, and `for SECONDS`; `repair` mends it all.")
     ],
 ) -> tuple[str, Command]:
-    """Break something in a simulated run, now. The log keeps it, and `sim-bridge sil --from` repeats those of thrusters, IMU and
-    battery.
+    """Break something in a simulated run, now. The log keeps it; `sim-bridge sil --from` repeats it if it is of a thruster,
+    an IMU or a battery.
 
     Examples:  groundstation mission fault "thruster 2/3 dead"
 

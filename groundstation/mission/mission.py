@@ -194,7 +194,7 @@ class Mission:
         elif order is CommandKind.DISARM:
             if self._run.ended_by is MissionEvent.ALL_CONFIRMED:
                 self._run.ended_by = MissionEvent.DISARMED_CANCELLED
-            self.reason = f"a person asked for DISARM when {before.name}"
+            self.reason = f"a person asked for disarm while {before.value}"
         if order is CommandKind.RESUME:
             self._replan_if_needed(fleet, now_ns)
         if order is CommandKind.GO:
@@ -283,8 +283,9 @@ class Mission:
 
     def _prepare_return(self, fleet: Fleet) -> None:
         if self.state in AT_REST:
+            began_ns = self.began_ns
             self._begin_run()
-            self._run.homeward = True
+            self._run.homeward, self.began_ns = True, began_ns  # the way home belongs to the flight before, as in the report
         for robot in self.roster.active:
             why = unfit_to_return(self._context(fleet), robot)
             if why:
