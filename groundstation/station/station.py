@@ -48,7 +48,7 @@ from shoal.runtime.version import code
 
 ORDER_TIMEOUT_S = 0.5
 PATIENT_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
-TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED, MissionState.DEGRADED})
+TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED})
 PROMPT = frozenset({CommandKind.STOP, CommandKind.DISARM, CommandKind.HOLD})
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
 # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
@@ -411,7 +411,8 @@ class Station:
         without_figures = FIGURE.sub("", line)
         if without_figures != self.last_line:
             self.last_line = without_figures
-            (log.warning if self.mission.state in TROUBLED else log.info)("mission: %s", line)
+            degraded = self.mission.state is MissionState.DEGRADED and self.mission.roster.trouble
+            (log.warning if degraded or self.mission.state in TROUBLED else log.info)("mission: %s", line)
 
 
 def _shown(text: str) -> str:
