@@ -12,7 +12,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import Command, CommandKind, Mode, RobotState, Truth
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Mode, RobotState, Truth
 from sim_bridge.in_process.executor import Executor
 
 pytestmark = pytest.mark.slow
@@ -59,8 +59,8 @@ def test_robots_hold_go_on_and_stop_as_they_are_told(name: str, seed: int, tmp_p
         steps += 1
         time_s = steps * experiment.controller.period_s
         if orders and time_s >= orders[0][0]:
-            order = Command(orders.pop(0)[1], topics.WHOLE_FLEET)
-            answer = bus.command(order, 1, 1.0, to=topics.WHOLE_FLEET)
+            order = Command(orders.pop(0)[1], WHOLE_FLEET)
+            answer = bus.command(order, 1, 1.0, to=WHOLE_FLEET)
             assert answer.accepted, (order, answer.reason)
         since_s, last = max(((at_s, kind) for at_s, kind in ORDERS if at_s <= time_s), default=(0.0, None))
         for i, state in enumerate(states):
