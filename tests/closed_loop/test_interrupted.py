@@ -1,5 +1,7 @@
-"""Flights with their camera that a person interrupts, at several rates and with another robot: HOLD holds for a minute, RESUME
-goes on near the path, also from a HOLD that has not come to rest, and after STOP nobody thrusts."""
+"""Robots hold, go on and stop as a person tells them, seen by their camera.
+
+At several rates, and with another robot: HOLD holds for a minute, RESUME goes on near the path, also from a HOLD that has not
+come to rest, and after STOP nobody thrusts."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

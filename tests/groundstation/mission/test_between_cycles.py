@@ -65,6 +65,6 @@ def test_a_robot_that_says_that_it_is_disarmed_is_sent_a_disarm_all_the_same() -
 
 def outcome(pool: SimulatedFleet, number: int) -> Outcome:
     """A request's outcome, which is known."""
-    found = pool.core.requests.outcome(number)
-    assert found is not None
-    return found
+    latest = pool.core.requests.outcome(number)
+    assert latest is not None
+    return latest
