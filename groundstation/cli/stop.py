@@ -5,6 +5,8 @@ line, the environment or the keys. What cannot be used is left out, and named at
 """
 
 import json
+import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -15,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from groundstation.cli.mission import HELP, LONGEST_WAIT_S, Station, Wait
+from groundstation.cli.mission import HELP, INTERRUPTED, LONGEST_WAIT_S, Station, Wait
 from shoal.errors import ConfigError
 from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Reply
 from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name
@@ -162,6 +164,13 @@ class StationStop:
 
         return client.verdict(self.reply, self.patience_s) if self.reply is not None else (False, f"NOT HEARD: {self.trouble}")
 
+    @property
+    def interrupted(self) -> str:
+        """Text about a stop that is waited for no longer."""
+        if self.is_heard:
+            return f"{NAME}: not waited for; the station goes on with it"
+        return f"{NAME}: NOT HEARD: interrupted before the station answered; it may not have got it"
+
     def print(self, as_json: bool) -> None:
         """Print the outcome, robot by robot."""
         is_done, text = self.outcome()
@@ -209,8 +218,12 @@ def stop(
             one.await_end()
             one.print(as_json)
     except KeyboardInterrupt:
-        typer.echo(f"{NAME}: not waited for; the stations go on with it", err=True)
-        raise typer.Exit(130) from None
+        for one in stops:
+            typer.echo(printable(f"station {one.station.name}: {one.interrupted}"), err=True)
+        if not stops:
+            typer.echo(f"{NAME}: NOT SENT: interrupted before that", err=True)
+        sys.stdout.flush()
+        os._exit(INTERRUPTED)  # a thread that still connects would abort an interpreter that ends
     for complaint in dict.fromkeys([*complaints, *(text for one in stops for text in one.complaints)]):
         typer.echo(printable(f"left out: {complaint}"), err=True)
     raise typer.Exit(0 if all(one.outcome()[0] for one in stops) else 1)

@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundstation.formation_clock import FormationPlans
-from groundstation.logs import session_clocks
 from groundstation.logs.reader import open_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
@@ -27,7 +26,7 @@ from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
 from groundstation.web.snapshot import PAST_ROBOTS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
 from shoal.config.experiment import Experiment, load_experiment
-from shoal.messages import topics
+from shoal.messages import session_clocks, topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import (
     WHOLE_FLEET,

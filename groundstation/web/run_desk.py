@@ -81,6 +81,7 @@ class RunDesk:
                 "given": own_tags,
                 "report": self._address(folder),
                 "shown": folder == self._shown,
+                "mode": run.mode_text,
             }
             runs.append(dataclasses.asdict(run) | about)
         return {"k": "runs", "folder": str(self._shown.parent), "runs": runs, "problem": problem}
