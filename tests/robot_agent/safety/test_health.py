@@ -7,12 +7,13 @@ import pytest
 
 from robot_agent.control.any_controller import make_controller
 from robot_agent.control.controller import ControlOutput, Setting
+from robot_agent.control.nonlinear.tuning import horizon_s
 from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
 from robot_agent.safety.sensor_checks import LEVEL_MPS2
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import BoardReading, Control, Estimate, Mode, Pose, Track
+from shoal.messages.messages import BoardReading, Control, Estimate, Guidance, Mode, Pose, Track
 
 POOL = load_experiment("pool")
 NOW_NS, MS = 10_000_000_000, 1_000_000
@@ -146,6 +147,27 @@ def test_a_robot_that_was_off_its_path_is_not_so_for_ever() -> None:
     monitor.note_inputs(WELL, Mode.FAULT, now_ns)
     assert not monitor.health(WELL, False, now_ns).off_path
     assert not fly(Mode.TRACKING, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 1.0])
+def test_a_robot_gives_way_until_nothing_has_been_in_its_way_for_half_a_horizon(aside_m: float) -> None:
+    """Then it is back on its path, or on its way there. What it avoids near its path keeps it giving way."""
+    monitor, now_ns, clears_s = HealthMonitor(POOL), NOW_NS, 0.5 * horizon_s(POOL.vehicle)
+
+    def fly(seconds: float, avoids: bool, blocks: bool) -> Guidance:
+        nonlocal now_ns
+        for _ in range(round(seconds / 0.05)):
+            now_ns += 50 * MS
+            monitor.note_inputs(WELL, Mode.TRACKING, now_ns)
+            output = off_the_path(aside_m)._replace(is_free=not avoids, avoids=avoids, path_is_blocked=blocks)
+            monitor.note_output(output, Mode.TRACKING, now_ns)
+        return monitor.guidance
+
+    assert fly(1.0, False, False) is not Guidance.GIVING_WAY
+    assert fly(2.0, True, True) is Guidance.GIVING_WAY
+    assert fly(clears_s + 2.0, True, False) is Guidance.GIVING_WAY
+    assert fly(0.5 * clears_s, False, False) is Guidance.GIVING_WAY
+    assert fly(clears_s, False, False) is (Guidance.RETURNING if aside_m else Guidance.ON_PATH)
 
 
 def test_an_estimate_that_ends_under_power_is_remembered_until_the_power_is_gone() -> None:
