@@ -149,6 +149,21 @@ def test_a_robot_that_was_off_its_path_is_not_so_for_ever() -> None:
     assert not fly(Mode.TRACKING, 1.0, 0.0)
 
 
+@pytest.mark.parametrize(("yaw_rad", "reason"), [(0.0, "held fast"), (np.pi, "")])
+def test_a_robot_is_held_fast_by_poses_that_fit_its_estimate_alone(yaw_rad: float, reason: str) -> None:
+    """Of a marker that is read the wrong way round nothing is concluded about the thrust."""
+    monitor, now_ns = HealthMonitor(POOL, plan_period_s=0.1), NOW_NS
+    pushes = (1700,) * 4 + monitor.neutral_us[4:]
+    for k in range(60):
+        now_ns += 50 * MS
+        pose = StampedPose(replace(POSE, yaw_rad=yaw_rad), now_ns - 40 * MS)
+        inputs = replace(WELL, pose=pose, board=replace(BOARD, arrival_ns=now_ns - 20 * MS))
+        monitor.note_inputs(inputs, Mode.TRACKING, now_ns)
+        monitor.note_pulses(pushes if k > 20 else monitor.neutral_us, now_ns)
+        monitor.note_output(off_the_path(0.0), Mode.TRACKING, now_ns)
+    assert monitor.health(inputs, False, now_ns).watch_reason == reason
+
+
 @pytest.mark.parametrize("aside_m", [0.0, 1.0])
 def test_a_robot_gives_way_until_nothing_has_been_in_its_way_for_half_a_horizon(aside_m: float) -> None:
     """Then it is back on its path, or on its way there. What it avoids near its path keeps it giving way."""
