@@ -27,8 +27,8 @@ from shoal.config.experiment import NO_CAMERA, Experiment, dump_flight, load_exp
 from shoal.errors import ConfigError
 from shoal.messages.codec import LONGEST_TEXT
 from shoal.messages.live_gains import values_of
-from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply, StationHeartbeat, Tuning
-from shoal.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Progress, Reply, StationHeartbeat, Tuning
+from shoal.messages.topics import HEARTBEAT, Role, process_name
 from shoal.runtime.cli_options import DEFAULT_FLEET
 
 ORDER_TIMEOUT_S = 2.0

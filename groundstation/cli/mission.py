@@ -20,10 +20,8 @@ from groundstation.mission.state_machine import (
     order_named,
     request_named,
 )
-from shoal.config.formation_shapes import SHAPES
-from shoal.config.scene import FORM_USAGE
-from shoal.messages.messages import Command, CommandKind, Outcome, Reply
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.config.formation_shapes import FORM_USAGE, SHAPES
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Reply
 from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, Settings, finite
 from shoal.system.printable import printable
 
@@ -299,7 +297,8 @@ def fault(
         str, typer.Argument(metavar="WHAT", help="What breaks, as with --fault, and `for SECONDS`; `repair` mends it all.")
     ],
 ) -> tuple[str, Command]:
-    """Break something in a simulated run, now. The log keeps it, and `sim-bridge sil --from` repeats it, a dead radio apart.
+    """Break something in a simulated run, now. The log keeps it, and `sim-bridge sil --from` repeats it, unless a camera or a
+    board's link broke.
 
     Examples:  groundstation mission fault "thruster 2/3 dead"
 

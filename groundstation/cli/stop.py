@@ -12,20 +12,19 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from groundstation.cli.mission import HELP, INTERRUPTED, LONGEST_WAIT_S, Station, Wait
-from groundstation.station import discovery
-from groundstation.station.discovery import RunningStation
-from shoal.bus.endpoint import parse_address
 from shoal.errors import ConfigError
-from shoal.messages.messages import Command, CommandKind, Reply
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Reply
 from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name
 from shoal.system.printable import printable
+
+if TYPE_CHECKING:
+    from groundstation.station.discovery import RunningStation
 
 NAME = "stop"
 COMPLAINTS = "complaints"  # where the command's context keeps what it could not use
@@ -42,8 +41,14 @@ def _seconds(text: str) -> None:
         raise ValueError(f"must be 0 to {LONGEST_WAIT_S:g} seconds")
 
 
+def _address(text: str) -> None:
+    from shoal.bus.endpoint import parse_address
+
+    parse_address(text)
+
+
 CHECKS: dict[str, Callable[[str], Any]] = {
-    "--station": parse_address,
+    "--station": _address,
     "--fleet": fleet_name,
     "--keys": Path,
     "--wait": _seconds,
@@ -97,7 +102,7 @@ class ProgramGroup(TyperGroup):
 class StationStop:
     """A stop on its way to one station."""
 
-    station: RunningStation
+    station: "RunningStation"
     patience_s: float
     keys: Path | None
     insecure: bool
@@ -202,7 +207,7 @@ def stop(
     patience_s = client.PATIENCE_S[CommandKind.STOP] if wait is None else wait
     stops: list[StationStop] = []
 
-    def send(stations: Sequence[RunningStation]) -> None:
+    def send(stations: "Sequence[RunningStation]") -> None:
         for one in stations:
             stops.append(StationStop(one, patience_s, keys, insecure))
             stops[-1].begin()
@@ -228,11 +233,14 @@ def _send_to_all(
     station: str | None,
     fleet: str | None,
     complaints: list[str],
-    send: Callable[[Sequence[RunningStation]], None],
+    send: "Callable[[Sequence[RunningStation]], None]",
     stops: list[StationStop],
 ) -> None:
     """Stop what was named: a station, the stations of a fleet, or all. Where nobody answers to that name, stop all that run
     here: a stop that reaches nobody is worse than one that reaches too many."""
+    from groundstation.station import discovery
+    from groundstation.station.discovery import RunningStation
+
     here = discovery.running()
     if station is not None:
         named = discovery.named(station)

@@ -54,6 +54,11 @@ END_METADATA = "recorder"
 REPAIR_METADATA = "repair"  # damage that a mended log has lost
 
 
+def mode_text(mode: str) -> str:
+    """The kind of time that a run had, for people. A lockstep run may go as fast as the clock."""
+    return {"lockstep": "simulated time", "real-time": "by the wall clock"}.get(mode, mode)
+
+
 def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
     """Metadata of a run for its log; `mode`: real-time, lockstep or numeric."""
     return {

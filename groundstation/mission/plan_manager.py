@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from groundstation.mission.lap_statistics import FlownLaps
-from groundstation.mission.obstacle_monitor import ObstacleMonitor
+from groundstation.mission.obstacle_monitor import ObstacleMonitor, located
 from groundstation.mission.roster import Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.feasibility import OutOfTime, PlanError, never
@@ -184,12 +184,13 @@ class PlanManager:
     def form_plan(self, form: str, begin_s: float, fleet: Fleet, now_ns: int) -> Callable[[], PlanSegment]:
         """Function that plans another form from `begin_s` on. It raises PlanError."""
         experiment, segment, obstacles = self.flown, self.segment, self.discs_to_avoid(fleet, now_ns)
+        lost = located(self._lost(fleet))
 
         def make() -> PlanSegment:
             reshaped = reshape(experiment, segment, begin_s, read_form(form, begin_s))
-            contact = first_contact(experiment, reshaped, begin_s, reshaped.end_s, obstacles)
+            contact = first_contact(experiment, reshaped, begin_s, reshaped.end_s, obstacles, lost)
             if contact:
-                raise PlanError(f"something lies {contact}")
+                raise PlanError(contact)
             return reshaped
 
         return make
@@ -255,12 +256,12 @@ class PlanManager:
 
     def discs_to_avoid(self, fleet: Fleet, now_ns: int | None = None) -> Array:
         """Obstacles and lost robots, (k, 3: x, y, radius) in m; see ObstacleMonitor."""
-        return self.monitor.discs_to_avoid(self._lost(fleet), now_ns)
+        return self.monitor.discs_to_avoid(self._lost(fleet).values(), now_ns)
 
     def first_contact(self, fleet: Fleet, now_ns: int | None = None) -> str:
         """Text with the place at which a robot would touch an obstacle; empty if nowhere."""
         segment = replace(self.segment, trajectories=self._roster.trajectories(self.segment))
         return self.monitor.first_contact(segment, self.progress_s, self._lost(fleet), now_ns)
 
-    def _lost(self, fleet: Fleet) -> list[RobotView]:
-        return [fleet[r] for r in self._roster.lost if r not in self._roster.out]
+    def _lost(self, fleet: Fleet) -> dict[int, RobotView]:
+        return {r: fleet[r] for r in self._roster.lost if r not in self._roster.out}

@@ -21,8 +21,7 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
 from shoal.config.experiment import Experiment
-from shoal.messages.messages import Command, CommandKind, DriveVelocity, Mode, Outcome, Progress
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, DriveVelocity, Mode, Outcome, Progress
 
 COURSE = frozenset(
     {CommandKind.STOP, CommandKind.RETURN, CommandKind.START}

@@ -84,7 +84,7 @@ def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], aw
         apart = sample(segment.trajectories[slot], time_s).eta[:, None, :2] - away[:, :2]
         free &= np.all(np.hypot(*apart.transpose(2, 0, 1)) > away[:, 2] + SAME_M, axis=1)
     if not free.any():
-        raise PlanError("something lies in the formation's places to the end of the path")
+        raise PlanError("something, or a robot that is not with the formation, lies in its places to the end of the path")
     return float(time_s[int(np.argmax(free))])
 
 

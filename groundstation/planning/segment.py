@@ -6,7 +6,7 @@ runs along the trajectories; it never goes back.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,9 +92,16 @@ def ceil_to_period(time_s: float, period_s: float) -> float:
     return math.ceil(time_s / period_s - 1e-9) * period_s
 
 
-def first_contact(experiment: Experiment, segment: PlanSegment, from_s: float, until_s: float, obstacles: Array) -> str:
-    """Text with place, robot and time of the first contact: a robot nearer than safety.radius_m to an obstacle (k, 3); empty
-    if there is none.
+def first_contact(
+    experiment: Experiment,
+    segment: PlanSegment,
+    from_s: float,
+    until_s: float,
+    obstacles: Array,
+    lost: Sequence[int] = (),
+) -> str:
+    """Text with cause, place, robot and time of the first contact: a robot nearer than safety.radius_m to an obstacle (k, 3);
+    empty if there is none. The last obstacles are the `lost` robots.
 
     Transfers may begin and end beside obstacles (groundstation/planning/transfer.py): there only a robot counts that comes
     nearer than at both ends of its transfer.
@@ -114,10 +121,12 @@ def first_contact(experiment: Experiment, segment: PlanSegment, from_s: float, u
         meets = np.flatnonzero(short.max(axis=1, initial=-np.inf) > 0.0)
         if len(meets):
             first = int(meets[0])
-            x, y, _ = obstacles[int(np.argmax(short[first]))]
-            contacts.append(
-                (first, f"at ({x:z.2f}, {y:z.2f}) m, on the path of robot {slot}, in {first * segment.centre.period_s:.1f} s")
-            )
+            nearest = int(np.argmax(short[first]))
+            x, y, _ = obstacles[nearest]
+            robot = nearest - (len(obstacles) - len(lost))
+            cause = f"robot {lost[robot]}" if robot >= 0 else "something"
+            in_s = first * segment.centre.period_s
+            contacts.append((first, f"{cause} lies at ({x:z.2f}, {y:z.2f}) m, on the path of robot {slot}, in {in_s:.1f} s"))
     return min(contacts)[1] if contacts else ""
 
 

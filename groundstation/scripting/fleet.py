@@ -13,8 +13,8 @@ from shoal.bus.bus import Bus, Inbox
 from shoal.config.loader import toml_value
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
-from shoal.messages.messages import Command, CommandKind, Event, Outcome, Pose, RobotState, StationHeartbeat
-from shoal.messages.topics import WHOLE_FLEET, Topic
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Event, Outcome, Pose, RobotState, StationHeartbeat
+from shoal.messages.topics import Topic
 from shoal.runtime.cli_options import DEFAULT_FLEET
 
 M = TypeVar("M")

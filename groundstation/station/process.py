@@ -27,7 +27,7 @@ from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages import topics
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET
 from shoal.runtime.output_files import PAGE_OPEN, replace_text
 from shoal.runtime.runtime import Clock, Stop, WallClock, log, log_to_bus
 from shoal.runtime.version import code

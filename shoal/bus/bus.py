@@ -19,8 +19,8 @@ from typing import Any, Generic, TypeVar
 
 from shoal.bus.command_deduplication import CommandDeduplicator
 from shoal.bus.delay_estimator import DelayEstimator
-from shoal.bus.transport import Answer, Await, Transport, Unreached
-from shoal.errors import ConfigError
+from shoal.bus.transport import Answer, Await, Transport
+from shoal.errors import ConfigError, Unreached
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode, encode
 from shoal.messages.messages import Command, CommandKind, Message, Reply

@@ -9,8 +9,7 @@ from groundstation import client
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.messages.codec import LONGEST_TEXT
-from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Progress, Reply
 
 
 @pytest.mark.parametrize(

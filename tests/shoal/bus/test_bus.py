@@ -18,9 +18,9 @@ from shoal.bus import zenoh_transport
 from shoal.bus.bus import LOOK_AGAIN_S, Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
-from shoal.bus.transport import Presence, Unreached
+from shoal.bus.transport import Presence
 from shoal.bus.zenoh_transport import ZenohTransport
-from shoal.errors import ConfigError
+from shoal.errors import ConfigError, Unreached
 from shoal.messages import messages, topics
 from shoal.messages.codec import Header, decode, encode
 from sim_bridge.sil.ports import free_port
