@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ParamSpec
 
 import typer
+from rich.markup import escape
 
 from groundstation.mission.state_machine import (
     FLEET_REQUESTS,
@@ -269,7 +270,7 @@ def go(
 @mission_cli.command()
 @request
 def formation(
-    form: Annotated[str, typer.Argument(metavar="FORM", help=f"{FORM_USAGE}; shapes: {', '.join(SHAPES)}.")],
+    form: Annotated[str, typer.Argument(metavar="FORM", help=f"{escape(FORM_USAGE)}; shapes: {', '.join(SHAPES)}.")],
 ) -> tuple[str, Command]:
     """Let the formation take another form: in flight on its way, from a hold before it goes on.
 
