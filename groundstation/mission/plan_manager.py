@@ -12,8 +12,7 @@ from groundstation.mission.lap_statistics import FlownLaps
 from groundstation.mission.obstacle_monitor import ObstacleMonitor, located
 from groundstation.mission.roster import Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
-from groundstation.planning.feasibility import PlanError
-from groundstation.planning.prioritized_planning import OutOfTime, never
+from groundstation.planning.feasibility import OutOfTime, PlanError, never
 from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import plan_regroup, plan_return
 from groundstation.planning.segment import PlanSegment, ceil_to_period, first_contact, first_segment
@@ -38,9 +37,9 @@ class FlownPath:
     experiment: Experiment
     segment: PlanSegment | None = None  # from the path's beginning, without the ways into the places; None: not planned yet
 
-    def plan(self) -> PlanSegment:
+    def plan(self, out_of_time: OutOfTime = never) -> PlanSegment:
         """Segment from the path's beginning. Raises PlanError."""
-        self.segment = first_segment(self.experiment) if self.segment is None else self.segment
+        self.segment = first_segment(self.experiment, out_of_time) if self.segment is None else self.segment
         return self.segment
 
 
@@ -229,7 +228,7 @@ class PlanManager:
         def plan(fleet: Fleet, begin_s: float) -> PlanMaker:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
             flown = flight.experiment
-            return lambda late: plan_regroup(flown, flight.plan(), begin_s, 0.0, rests, slots, obstacles, late)
+            return lambda late: plan_regroup(flown, flight.plan(late), begin_s, 0.0, rests, slots, obstacles, late)
 
         return plan
 
@@ -247,8 +246,9 @@ class PlanManager:
 
         def make(out_of_time: OutOfTime) -> PlanSegment:
             if flown is None:
-                flight.segment = in_form(flight.experiment, present.plan(), 0.0, read_form(form, 0.0)[0])
-            return plan_regroup(flight.experiment, flight.plan(), 0.0, 0.0, rests, slots, obstacles, out_of_time)
+                flight.segment = in_form(flight.experiment, present.plan(out_of_time), 0.0, read_form(form, 0.0)[0])
+            planned = flight.plan(out_of_time)
+            return plan_regroup(flight.experiment, planned, 0.0, 0.0, rests, slots, obstacles, out_of_time)
 
         return make, flight
 

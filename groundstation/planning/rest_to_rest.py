@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import PlanError
+from groundstation.planning.feasibility import OutOfTime, PlanError, never
 from groundstation.planning.formation import NodeMotion
-from groundstation.planning.prioritized_planning import OutOfTime, never, plan_transfers
+from groundstation.planning.prioritized_planning import plan_transfers
 from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, sample
 from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_profile, turn_samples
 from shoal.config.experiment import Experiment

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.planning import planner
+from groundstation.planning.feasibility import OutOfTime, never
 from groundstation.planning.formation import NodeMotion
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Change
@@ -50,9 +51,9 @@ def with_forms(experiment: Experiment, segment: PlanSegment) -> Experiment:
     return experiment.model_copy(update={"formation": formation})
 
 
-def first_segment(experiment: Experiment) -> PlanSegment:
+def first_segment(experiment: Experiment, out_of_time: OutOfTime = never) -> PlanSegment:
     """Segment of a run as planned before it."""
-    fleet = planner.plan_fleet(experiment)
+    fleet = planner.plan_fleet(experiment, out_of_time)
     return PlanSegment(fleet.trajectories, fleet.centre, experiment.duration_s)
 
 

@@ -22,8 +22,7 @@ from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.state_machine import READY, MissionState, in_words, rejection_reason
 from groundstation.mission.station_core import StationCore
-from groundstation.planning.feasibility import PlanError
-from groundstation.planning.prioritized_planning import OutOfTime
+from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
 from groundstation.web.backend import Status
@@ -33,8 +32,17 @@ from shoal.bus.endpoint import PATIENT_MS
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, DriveVelocity, FaultRequest, Reply, StationHeartbeat, Trajectory
-from shoal.messages.topics import WHOLE_FLEET, Role, process_name
+from shoal.messages.messages import (
+    WHOLE_FLEET,
+    Command,
+    CommandKind,
+    DriveVelocity,
+    FaultRequest,
+    Reply,
+    StationHeartbeat,
+    Trajectory,
+)
+from shoal.messages.topics import Role, process_name
 from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
 
@@ -152,7 +160,7 @@ class Station:
         )  # fmt: skip
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
-        self._tell()
+        self._log_news()
 
     def _unanswered(self, command: Command) -> int:
         """Number of commands of this kind that the robot has not answered. More would only wait for one another."""
@@ -260,11 +268,11 @@ class Station:
     def on_operator_command(self, header: Header, command: Command) -> Reply:
         """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A TUNE without gains
         goes back to the gains before the last change."""
-        if command.about:
+        if command.about and command.order is CommandKind.NONE:
             outcome = self.requests.outcome(command.about)
             reason = "" if outcome is not None else f"request {command.about} is not known here (any more)"
             return Reply(WHOLE_FLEET, outcome is not None, reason, outcome=outcome)
-        if command.tuning is not None:
+        if command.tuning is not None and command.order is CommandKind.TUNE:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:
@@ -385,7 +393,8 @@ class Station:
             flown_s=mission.plans.flown.duration_s,
         )
 
-    def _tell(self) -> None:
+    def _log_news(self) -> None:
+        """Log, once each, other versions of the code, the recorder's troubles, and every change of the mission."""
         codes = {f"robot {robot} {view.other_code}" for robot, view in self.views.items() if view.other_code}
         codes |= {self._localizers_code()} - {""}
         for text in sorted(codes - self.codes_told):

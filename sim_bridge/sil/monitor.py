@@ -87,7 +87,9 @@ class Monitor:
     def planned_s(self) -> float:
         """Planned end of what is flown: a person may have loaded another path."""
         heartbeat = self._heartbeat.newest()
-        return (heartbeat.message.flight_s if heartbeat is not None else 0.0) or self._experiment.duration_s
+        if heartbeat is None or not heartbeat.message.other_path:
+            return self._experiment.duration_s
+        return heartbeat.message.flight_s
 
     @property
     def pace(self) -> str:

@@ -38,6 +38,7 @@ from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
+    WHOLE_FLEET,
     BoardReading,
     CameraHealth,
     Command,
@@ -57,7 +58,6 @@ from shoal.messages.messages import (
     Track,
     Trajectory,
 )
-from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.runtime import Stop, WallClock, run_steps, wait
 from shoal.runtime.version import code
 from sim_bridge.lockstep.clock import LockstepClock
@@ -506,6 +506,15 @@ def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
         assert not refused.accepted and refused.outcome is None
         nothing = station.on_operator_command(Header(9, 4, 0), Command(CommandKind.NONE, WHOLE_FLEET))
         assert not nothing.accepted
+
+
+def test_a_stop_is_a_stop_whatever_else_the_command_carries(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        for extra in ({"about": 1}, {"tuning": gains_command([]).tuning}):
+            station.mission.state = MissionState.WAITING
+            command = Command(CommandKind.STOP, WHOLE_FLEET, **extra)
+            assert station.on_operator_command(Header(9, 1, 0), command).accepted
+            assert station.mission.state is MissionState.STOPPED
 
 
 def test_a_draft_is_planned_as_its_request_would_be_and_refused_for_the_same_reason(tmp_path: Path) -> None:

@@ -69,8 +69,9 @@ def test_a_run_that_waits_or_holds_gives_the_reason() -> None:
 def test_a_path_that_a_person_has_loaded_ends_when_it_is_planned_to() -> None:
     hub = MemoryHub()
     robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
-    for flight_s, shown in ((0.0, " / 120 s"), (100.8, " / 101 s")):
-        robots.publish(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING", flight_s=flight_s), 1)
+    for flight_s, other_path, shown in ((136.0, False, " / 120 s"), (100.8, True, " / 101 s")):
+        beat = StationHeartbeat(mission="RUNNING", flight_s=flight_s, other_path=other_path)
+        robots.publish(topics.HEARTBEAT, beat, 1)
         assert shown in monitor.line()
 
 
