@@ -223,9 +223,10 @@ def test_a_campaign_with_the_camera_refuses_what_has_none(changes: dict[str, Any
 
 
 def test_interrupted_campaign_continues_where_it_was(flown: Path, tmp_path: Path) -> None:
-    """Half a journal, its last line torn, and one flight that is now wanted otherwise."""
+    """Half a journal, lines that are no rows, its last line torn, and one flight that is now wanted otherwise."""
     lines = (flown / "journal.jsonl").read_text().splitlines()
-    (tmp_path / "journal.jsonl").write_text("\n".join([*lines[:2], lines[2][:40]]) + "\n")
+    no_rows = ["12", "[1]", "null", '{"status": "flown"}']
+    (tmp_path / "journal.jsonl").write_text("\n".join([*lines[:2], *no_rows, lines[2][:40]]) + "\n")
     with pytest.raises(ConfigError, match="--resume goes on with it"):
         fly(campaign(), tmp_path)
     assert fly(campaign(), tmp_path, resume=True) == 0
@@ -234,7 +235,7 @@ def test_interrupted_campaign_continues_where_it_was(flown: Path, tmp_path: Path
         for measured in ("wall_s", *TIMINGS):
             assert row.pop(measured) > 0.0
     assert fresh == kept
-    assert len((tmp_path / "journal.jsonl").read_text().splitlines()) == 5
+    assert len((tmp_path / "journal.jsonl").read_text().splitlines()) == 5 + len(no_rows)
 
 
 def test_any_key_can_be_swept_and_a_grown_campaign_goes_on(tmp_path: Path) -> None:
