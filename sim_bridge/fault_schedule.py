@@ -16,7 +16,8 @@ from shoal.config.vehicle import OUTPUTS
 from shoal.errors import ConfigError
 from shoal.frames import Array
 
-NUMERIC = ("thruster", "imu", "battery")  # kinds of faults that a numeric flight can have
+# Faults that a numeric flight can have: kinds, or one of a kind.
+NUMERIC = ("thruster", "imu", "battery", "radio", "ball", "water gust")
 ROUNDING_S = 1e-6  # s by which a change is looked for early, as times are sums of rounded numbers
 BEFORE_S = -1.0  # a time before the robots' start
 
@@ -155,10 +156,15 @@ class FaultSchedule:
             self.links[i] = LinkFaults(old.cut or b.effect == "cut", loss, delay_s)
 
 
+def is_among(broken: Break, kinds: tuple[str, ...]) -> bool:
+    """True if a fault is of one of these kinds, or is one that is named with its kind: `water gust`."""
+    return broken.kind in kinds or f"{broken.kind} {broken.effect}" in kinds
+
+
 def require_kinds(experiment: Experiment, kinds: tuple[str, ...], why: str) -> None:
     """Raise ConfigError if the timeline has a fault of a kind that this way of flying cannot have."""
     for i, fault in enumerate(experiment.sim.faults):
-        if fault.broken.kind not in kinds:
+        if not is_among(fault.broken, kinds):
             raise ConfigError(f"sim.faults.{i}.what = {fault.what!r}: {why} (allowed here: {', '.join(kinds)})")
 
 

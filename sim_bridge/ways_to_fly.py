@@ -24,11 +24,11 @@ WAYS = (
     ),
     WayToFly(
         "sim-bridge sil NAME", RUNS, RUNS, RUNS, "simulated, MAVLink", "Zenoh",
-        "lockstep", True,
+        "simulated", True,
     ),
     WayToFly(
         "sim-bridge sil NAME --one-process", IN_MEMORY, IN_MEMORY, IN_MEMORY, "simulated, MAVLink in memory", "none",
-        "lockstep", True,
+        "simulated", True,
     ),
     WayToFly(
         "sim-bridge numeric NAME", "none: true poses with noise", "planner alone", "control step",

@@ -63,8 +63,6 @@ class World(PlantRun):
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
         self._frames = 1  # the first is at time 0
         self.faults = FaultSchedule(experiment)
-        self._gust_mps = 0.0
-        self._current_mps = np.array(experiment.sim.plant.current_mps, dtype=np.float64)
         self.start_ns: int | None = None  # plant time at which the trajectories begin; set by the process
         self.exposed = False  # the last step reached the middle of an exposure
 
@@ -94,9 +92,7 @@ class World(PlantRun):
     def apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
         changes = self.faults.at(self.flown_s, self.now_ns * 1e-9)
-        if self.faults.gust_mps != self._gust_mps:
-            self._gust_mps = self.faults.gust_mps
-            self._plant.stream(self._current_mps + np.array([self._gust_mps, 0.0, 0.0]))
+        self._blow(self.faults.gust_mps)
         for board, faults in zip(self.boards, self.faults.imu if changes else (), strict=False):
             board.sensors.faults = faults
         return changes

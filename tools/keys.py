@@ -9,10 +9,10 @@ from groundstation.mission import state_machine as mission_states
 from robot_agent.control.nonlinear.tuning import formulas
 from robot_agent.vehicle import kalman
 from shoal.config import key_reference
-from shoal.config.fault_injection import KINDS, OF_PROCESSES
+from shoal.config.fault_injection import KINDS, OF_PROCESSES, Break
 from shoal.config.key_reference import KeyEntry, KeyTable
 from shoal.config.vehicle import Vehicle, load_vehicle
-from sim_bridge.fault_schedule import NUMERIC
+from sim_bridge.fault_schedule import NUMERIC, is_among
 
 ROOT = Path(__file__).parents[1]
 LAID = "Written by `make docs` from the models in `shoal/config/`; `groundstation keys-of` prints examples.\n"
@@ -95,7 +95,7 @@ def _faults() -> Iterator[str]:
     yield f"# Faults that can be injected\n\n{LAID}"
     yield "Each is a line after `--fault` or a table `[[sim.faults]]` ([simulation.md](simulation.md)), as in"
     yield "`--fault 't=20 for=5 thruster 2/3 weak 0.5'`: at 20 s, for 5 s, thruster 3 of robot 2. A value may be left out."
-    yield "*In*: 1 `sil --real-time`, 2 `sil` in lockstep, 3 `numeric`.\n"
+    yield "*In*: 1 `sil --real-time`, 2 `sil`, 3 `numeric`.\n"
     yield "| Fault | What happens | Value | In |\n|---|---|---|---|"
     for kind, (target, effects) in KINDS.items():
         for name, effect in effects.items():
@@ -103,7 +103,8 @@ def _faults() -> Iterator[str]:
             value = (
                 f"{effect.meaning}: {effect.low:g} to {effect.high:g}, default {effect.default:g}" if effect.meaning else ""
             )
-            where = "1" if kind in OF_PROCESSES else "2" if kind == "radio" else "1-3" if kind in NUMERIC else "1-2"
+            first, last = 2 if kind == "radio" else 1, 3 if is_among(Break(kind, name), NUMERIC) else 2
+            where = "1" if kind in OF_PROCESSES else f"{first}-{last}"
             yield f"| {' | '.join((f'`{words}`', effect.happens, value, where))} |"
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from groundstation.analysis.series import TimelineEvent
+from groundstation.logs.recorder import mode_text
 from shoal.config.experiment import ArticleRow
 
 Three = tuple[float, float, float]
-MODE_TEXTS = {"lockstep": "simulated time", "real-time": "by the wall clock"}  # a lockstep run may go as fast as the clock
 WHOLE_RUN = "whole run flown"  # name of the check by which a flight went all its way
 
 
@@ -188,7 +188,7 @@ class Result:
     @property
     def mode_text(self) -> str:
         """The kind of time that the run had, for people."""
-        return MODE_TEXTS.get(self.mode, self.mode)
+        return mode_text(self.mode)
 
     @property
     def is_whole(self) -> bool:

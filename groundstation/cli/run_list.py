@@ -39,7 +39,7 @@ def list_runs(
         raise typer.Exit(0 if runs else 1)
     wide = max((len(run.run) for run in runs), default=0)
     for run in runs:
-        figures = f"{run.experiment:16} {run.mode:10} {run.duration_s:6.0f} s {run.size_mb:8.1f} MB"
+        figures = f"{run.experiment:16} {run.mode_text:17} {run.duration_s:6.0f} s {run.size_mb:8.1f} MB"
         label = " ".join([*([f'"{run.name}"'] if run.name else []), *(f"#{tag}" for tag in run.tags)])
         typer.echo(printable(f"{run.date:16}  {run.run:{wide}}  {figures}  {run.verdict}  {label}".rstrip()))
     if not runs:
@@ -83,4 +83,4 @@ def delete(
 
 
 def _has(run: "ListedRun", word: str) -> bool:
-    return any(word.lower() in str(value).lower() for value in dataclasses.astuple(run))
+    return any(word.lower() in str(value).lower() for value in (*dataclasses.astuple(run), run.mode_text))

@@ -38,6 +38,7 @@ from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.messages.codec import Header, protobuf_class
 from shoal.messages.topics import STATE, Qos, Role, Topic
+from shoal.runtime.mcap_records import SESSION
 from shoal.runtime.output_files import check_named, disk_free, sync_folder
 from shoal.runtime.version import code
 
@@ -51,6 +52,11 @@ EXPERIMENT_NAME = "experiment.toml"
 RUN_METADATA = "run"
 END_METADATA = "recorder"
 REPAIR_METADATA = "repair"  # damage that a mended log has lost
+
+
+def mode_text(mode: str) -> str:
+    """The kind of time that a run had, for people. A lockstep run may go as fast as the clock."""
+    return {"lockstep": "simulated time", "real-time": "by the wall clock"}.get(mode, mode)
 
 
 def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
@@ -279,7 +285,7 @@ class Recorder:
             self._schemas[cls] = self._writer.register_schema(name, "protobuf", files)
             Schema(self._schemas[cls], files, "protobuf", name).write(self._declarations)
         if (key, session) not in self._channels:
-            schema, metadata = self._schemas[cls], {"session": f"{session:x}", "publisher": topic.publisher}
+            schema, metadata = self._schemas[cls], {SESSION: f"{session:x}", "publisher": topic.publisher}
             self._channels[key, session] = self._writer.register_channel(key, "protobuf", schema, metadata)
             Channel(
                 self._channels[key, session], topic=key, message_encoding="protobuf", metadata=metadata, schema_id=schema

@@ -16,7 +16,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from groundstation.logs.recorder import claim
+from groundstation.logs.recorder import claim, mode_text
 from shoal.config.loader import read_toml
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import replace_text
@@ -46,6 +46,11 @@ class ListedRun:
     size_mb: float  # of the whole folder
     verdict: str  # passed, failed, not judged, or NO_RESULT
     commit: str  # of the code that recorded it
+
+    @property
+    def mode_text(self) -> str:
+        """The kind of time that it had, for people."""
+        return mode_text(self.mode)
 
 
 def list_runs(folder: Path) -> list[ListedRun]:

@@ -88,7 +88,7 @@ def differences(runs: Sequence[ComparedRun]) -> list[tuple[str, tuple[str, ...]]
 
 
 def _flown_by(run: ComparedRun) -> dict[str, str]:
-    return dict(zip(FLOWN_BY, (run.result.mode, run.result.version, run.result.commit), strict=True))
+    return dict(zip(FLOWN_BY, (run.result.mode_text, run.result.version, run.result.commit), strict=True))
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:

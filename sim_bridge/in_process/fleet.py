@@ -51,6 +51,8 @@ class SimulatedPlant(Protocol):
     def now_ns(self) -> int: ...
     @property
     def eta(self) -> Array: ...
+    @property
+    def faults(self) -> FaultSchedule: ...
     def advance(self, to_ns: int) -> None: ...
     def telemetry(self, i: int, now_ns: int) -> BoardReading: ...
     def act(self, i: int, outputs: Outputs) -> None: ...
@@ -65,7 +67,7 @@ class DirectPlant(PlantRun):
         self._sensors = [BoardSensors(experiment, robot, seed) for robot in experiment.robot_ids]
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
-        self._faults = FaultSchedule(experiment)
+        self.faults = FaultSchedule(experiment)
         self._note_voltage()
         self._begin_ns = 0  # instant at which the trajectories begin
         self.happened: list[str] = []  # faults that began or ended, until they are taken
@@ -90,14 +92,14 @@ class DirectPlant(PlantRun):
         """Move on to the first plant step at or after `to_ns`."""
         while (left := -((self.now_ns - to_ns) // self._step_ns)) > 0:
             self.happened += self._apply_faults()
-            steps = self._faults.quiet_steps(self._flown_s, self._step_ns / NS, left)
-            pulses_us = self._faults.pulses(self._pulses_us)
-            self._state = self._plant.step(self._state, pulses_us, self._faults.actuators, steps)
+            steps = self.faults.quiet_steps(self._flown_s, self._step_ns / NS, left)
+            pulses_us = self.faults.pulses(self._pulses_us)
+            self._state = self._plant.step(self._state, pulses_us, self.faults.actuators, steps)
         self._note_voltage()
 
     def _note_voltage(self) -> None:
         """Take note of the batteries' voltages without load, now."""
-        self._rest_v: list[float] = self._plant.rest_v(self._state, self._faults.actuators).tolist()
+        self._rest_v: list[float] = self._plant.rest_v(self._state, self.faults.actuators).tolist()
 
     @property
     def _flown_s(self) -> float:
@@ -106,8 +108,9 @@ class DirectPlant(PlantRun):
 
     def _apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
-        changes = self._faults.at(self._flown_s)
-        for sensors, faults in zip(self._sensors, self._faults.imu if changes else (), strict=False):
+        changes = self.faults.at(self._flown_s)
+        self._blow(self.faults.gust_mps)
+        for sensors, faults in zip(self._sensors, self.faults.imu if changes else (), strict=False):
             sensors.faults = faults
         return changes
 
@@ -245,29 +248,41 @@ class AgentFleet:
     def expose(self, stamp_ns: int) -> None:
         """Localize every robot."""
         self.poses.append((stamp_ns, self._localizer.poses(self._water.eta)))
-        obstacles = self._localizer.obstacles(self._water.now_ns / NS)
+        obstacles = self._localizer.obstacles(self._water.now_ns / NS, self._water.faults.balls)
         if obstacles is not None:
             self.watched.append(StampedObstacles(obstacles, stamp_ns))
 
     def control_step(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         """One control step of the i-th robot."""
-        robot, me, ahead_ns = self.robots[i], self.experiment.robot_ids[i], self.ahead_ns[i]
-        others = {r: StampedPlan(p.plan, p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
-        pose, adrift, now_ns = self.pose(i), self._newest_obstacles(), self.now_ns + ahead_ns
-        inputs = Inputs(
-            pose=StampedPose(pose.pose, pose.instant_ns + ahead_ns) if pose is not None else None,
-            board=self._water.telemetry(i, now_ns),
-            station=self.station(),
-            plans=others,
-            obstacles=StampedObstacles(adrift.obstacles, adrift.instant_ns + ahead_ns) if adrift is not None else None,
-        )
+        robot, me, now_ns = self.robots[i], self.experiment.robot_ids[i], self.now_ns + self.ahead_ns[i]
+        has_radio = me not in self._water.faults.without_radio
+        inputs = self._received(i, plans) if has_radio else self._remembered(i)
+        inputs = replace(inputs, board=self._water.telemetry(i, now_ns))
         begin_ns = self._clock_ns()
         outputs = robot.agent.step(inputs, now_ns)
         took_ns = self._clock_ns() - begin_ns
         self._water.act(i, outputs)
-        robot.plan = StampedPlan(outputs.plan, self.now_ns) if outputs.plan is not None else robot.plan
+        if outputs.plan is not None and has_radio:
+            robot.plan = StampedPlan(outputs.plan, self.now_ns)
         timing = replace(outputs.state.timing, step_us=took_ns / 1000.0)
         robot.states.append(replace(outputs.state, timing=timing) if took_ns else outputs.state)
+
+    def _received(self, i: int, plans: Mapping[int, StampedPlan | None]) -> Inputs:
+        """Inputs of the i-th robot by radio, on its own clock."""
+        me, ahead_ns = self.experiment.robot_ids[i], self.ahead_ns[i]
+        pose, adrift = self.pose(i), self._newest_obstacles()
+        return Inputs(
+            pose=StampedPose(pose.pose, pose.instant_ns + ahead_ns) if pose is not None else None,
+            station=self.station(),
+            plans={r: StampedPlan(p.plan, p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me},
+            obstacles=StampedObstacles(adrift.obstacles, adrift.instant_ns + ahead_ns) if adrift is not None else None,
+        )
+
+    def _remembered(self, i: int) -> Inputs:
+        """Inputs of the i-th robot without a radio: its last ones, a step older."""
+        inputs = self.robots[i].agent.inputs
+        clock_ns, age_s = inputs.station.clock_ns + self.period_ns, inputs.station.age_s + self.period_ns / NS
+        return replace(inputs, station=replace(inputs.station, clock_ns=clock_ns, age_s=age_s))
 
     def pose(self, i: int) -> StampedPose | None:
         """The newest pose of the i-th robot that the localizer has published by now."""
@@ -316,4 +331,5 @@ def _published(fleet: AgentFleet, water: DirectPlant) -> Iterator[Sent]:
     stamp_ns, poses = fleet.poses[-1]
     for robot, pose, member in zip(fleet.experiment.robot_ids, poses, fleet.robots, strict=True):
         yield topics.POSE, robot, pose, stamp_ns
-        yield topics.STATE, robot, member.states[-1], fleet.now_ns
+        if robot not in water.faults.without_radio:
+            yield topics.STATE, robot, member.states[-1], fleet.now_ns

@@ -140,10 +140,10 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
 
 def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> tuple[Experiment, list[str]]:
     """The experiment that was flown, with changes, and a line for each fault that a person made and that is left out: it needs
-    a camera, a board or a network. Raises ConfigError."""
+    a camera or a board. Raises ConfigError."""
     faults, left_out = list[str](), list[str]()
     for what, fault in faults_by_hand(run):
-        (faults if read_what(what).kind in fault_schedule.NUMERIC else left_out).append(fault)
+        (faults if fault_schedule.is_among(read_what(what), fault_schedule.NUMERIC) else left_out).append(fault)
     experiment = load_experiment(str(run / "experiment.toml"), settings, [*faults, *more_faults])
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "from a logged moment on there is none")
     again = f"to have it, fly sim-bridge sil {run / 'experiment.toml'} --fault"

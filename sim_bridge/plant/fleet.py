@@ -148,6 +148,7 @@ class PlantRun:
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
+        self._current_mps, self._gust_mps = np.array(experiment.sim.plant.current_mps, dtype=np.float64), 0.0
 
     @property
     def now_ns(self) -> int:
@@ -172,6 +173,12 @@ class PlantRun:
     def truth(self) -> Truth:
         """The state now, for the log; no controller may read it."""
         return self._plant.truth(self._state)
+
+    def _blow(self, gust_mps: float) -> None:
+        """Let the water move by so much along x besides its current, from now on."""
+        if gust_mps != self._gust_mps:
+            self._gust_mps = gust_mps
+            self._plant.stream(self._current_mps + np.array([gust_mps, 0.0, 0.0]))
 
 
 def nominal_acceleration(vehicle: Vehicle, nu: Array, wrench: Array, sway: bool) -> Array:

@@ -68,7 +68,7 @@ def time_in_words(options: RunOptions) -> str:
     if not options.lockstep:
         return "by the wall clock"
     if options.pace is None:
-        words = "in lockstep, as fast as the machine can"
+        words = "in simulated time, as fast as the machine can"
     elif options.pace == REAL_TIME_PACE:
         words = "in real time, slower while the machine is busy"
     else:
@@ -100,7 +100,9 @@ def check(experiment: Experiment, options: RunOptions) -> None:
         )
     if options.poses:
         fault_schedule.require_kinds(
-            experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker", "water")), "--poses needs no camera"
+            experiment,
+            ("water gust", *(kind for kind in KINDS if kind not in ("camera", "marker", "water"))),
+            "--poses needs no camera",
         )
 
 

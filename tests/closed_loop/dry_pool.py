@@ -16,6 +16,7 @@ from shoal.config.simulation import Numeric
 from shoal.frames import Array
 from shoal.mavlink.agent_link import AgentLink, Telemetry
 from shoal.messages.messages import CommandKind
+from sim_bridge.fault_schedule import FaultSchedule
 from sim_bridge.in_process.fleet import STATION_SESSION, AgentFleet
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World, WorldBoard
@@ -38,6 +39,10 @@ class BoardWater:
     @property
     def eta(self) -> Array:
         return self.world.eta
+
+    @property
+    def faults(self) -> FaultSchedule:
+        return self.world.faults
 
     def advance(self, to_ns: int) -> None:
         while self.world.now_ns < to_ns:

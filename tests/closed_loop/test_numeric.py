@@ -13,7 +13,7 @@ from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
-from shoal.messages.messages import Mode, RobotState, Solve, required
+from shoal.messages.messages import Mode, Obstacles, RobotState, Solve, required
 from sim_bridge.in_process.fleet import fly
 from tests.flights.scene_flights import flown_once, prepared
 from tests.forked import ended
@@ -200,6 +200,38 @@ def test_a_recorder_hears_truth_poses_and_states_of_every_step() -> None:
     per_step = [topics.TRUTH, *[topics.POSE, topics.STATE] * 3]
     assert [topic for topic, *_ in sent[3:]] == per_step * 21
     assert fleet.time_s == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("for_s", "end"), [(0.1, (Mode.TRACKING, "")), (1.5, (Mode.FAULT, "no pose"))])
+def test_a_robot_without_a_radio_neither_hears_nor_is_heard(for_s: float, end: tuple[Mode, str]) -> None:
+    fleet, water = prepared(load_experiment("pool", ["duration_s=5"], [f"t=2 for={for_s} radio 2 dead"]))
+    fleet.start()
+    silent_s, plan_instants = [], set()
+    for topic, robot, _, _ in fly(fleet, water):
+        if water.faults.without_radio and topic is topics.STATE:
+            assert robot == 1
+            silent_s.append(fleet.time_s)
+            plan_instants.add(required(fleet.robots[1].plan).instant_ns)
+    assert silent_s[-1] - silent_s[0] == pytest.approx(for_s - 0.05) and len(plan_instants) == 1
+    assert required(fleet.robots[1].plan).instant_ns not in plan_instants  # it is heard again
+    assert (fleet.robots[1].states[-1].mode, fleet.robots[1].states[-1].fault) == end
+    assert fleet.robots[1].agent.inputs.station.age_s == 0.0
+    assert fleet.robots[0].states[-1].mode is Mode.TRACKING
+
+
+def test_balls_and_gusts_of_the_fault_timeline_are_there() -> None:
+    fleet, water = prepared(
+        load_experiment("pool", ["duration_s=5"], ["t=1 for=1 ball 1.2,0.8 drops 0.1", "t=2 water gust 0.2"])
+    )
+    fleet.start()
+    seen_s = {
+        round(fleet.time_s, 2)
+        for topic, _, message, _ in fly(fleet, water)
+        if topic is topics.OBSTACLES and isinstance(message, Obstacles) and message.ids and water.faults.balls
+    }
+    assert min(seen_s) == pytest.approx(1.0, abs=0.06) and max(seen_s) == pytest.approx(2.0, abs=0.06)
+    calm = flown_once("pool", "duration_s=5").truth[-1]
+    assert np.all(np.abs(water.eta - calm)[:, 0] > 0.01)
 
 
 def test_a_plant_step_that_does_not_fit_the_control_period_is_refused() -> None:

@@ -13,7 +13,7 @@ from groundstation.web.backend import Status
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.messages import CommandKind, Mode, RobotState
-from tests.page.elements import button, tile
+from tests.page.elements import answer, button, tile
 from tests.page.lone_station import LoneStation, lone_station
 from tests.waiting import eventually
 
@@ -149,6 +149,23 @@ def test_shift_space_stops_the_fleet_over_an_open_question_and_answers_nothing(d
     question.get_by_role("button", name="Disarm and end").click()
     expect(page.locator(".given")).to_contain_text("end sent")
     assert desk.orders[-1] is CommandKind.END
+
+
+@pytest.mark.parametrize("name", ["pool", "fleet-20"])
+def test_a_stop_is_cleared_from_wherever_the_panels_are_scrolled_to(browser: Browser, name: str) -> None:
+    with lone_station(browser, load_experiment(name)) as desk:
+        page = desk.page
+        page.set_viewport_size({"width": 1024, "height": 700})
+        page.goto(desk.url)
+        desk.own_status = Status(state=MissionState.STOPPED)
+        clear = page.get_by_role("button", name=re.compile("^Clear stop"))
+        expect(clear).to_be_enabled()
+        page.locator("aside").evaluate("panels => (panels.scrollTop = panels.scrollHeight)")
+        expect(clear).to_be_in_viewport(ratio=1.0)
+        expect(page.locator("summary", has_text="Keys")).to_be_in_viewport()
+        clear.click()
+        answer(page, "Clear")
+        expect(page.locator(".given")).to_contain_text("clear-stop sent")
 
 
 def test_a_robot_that_is_not_heard_is_not_called_stopped(desk: LoneStation) -> None:

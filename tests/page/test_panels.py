@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 import pypdfium2 as pdfium
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Page, expect
 
 from groundstation.planning import planner
+from groundstation.telemetry import Finding
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.messages import (
@@ -55,6 +56,20 @@ def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
         expect(page.get_by_label("Alarms")).not_to_contain_text("no space left")
         desk.own_status = loud
         expect(button(page, "Silence")).to_be_visible()
+
+
+def test_a_note_about_many_robots_stands_there_once(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("fleet-20")) as desk:
+        page = desk.page
+        desk.preflight = tuple(Finding(robot, "gone", "critical", True, "not heard", "") for robot in (1, 2, 5, 6, 7, 8))
+        page.goto(desk.url)
+        expect(page.locator(".preflight li")).to_have_text(
+            [re.compile("robots 1, 2, 5 to 8 not heard"), re.compile("robots 3, 4, 9 to 20 ready")]
+        )
+        for robot in (3, 4, 20):
+            failed = RobotState(mode=Mode.FAULT, fault="no pose")
+            desk.robots.publish(topics.STATE, failed, time.time_ns(), robot)
+        expect(page.locator(".alarms li", has_text="no pose")).to_have_text(re.compile("robots 3, 4, 20: fault: no pose"))
 
 
 def test_the_log_takes_remarks_and_is_filtered(browser: Browser) -> None:
@@ -162,7 +177,7 @@ def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp
         expect(page.locator("[data-run='now']")).to_contain_text("this run")
         expect(page.locator("[data-run='now']").get_by_role("button", name="Delete")).to_be_disabled()
         expect(page.locator("[data-run='first']")).to_contain_text("#lamp")
-        expect(page.locator("[data-run='first']")).to_contain_text("pool, lockstep40 s1.5 MBfailed")
+        expect(page.locator("[data-run='first']")).to_contain_text("pool, simulated time40 s1.5 MBfailed")
         page.get_by_label("Runs with these words").fill("LAMP failed")
         expect(rows).to_have_count(1)
         with page.expect_popup() as opened:
@@ -239,6 +254,54 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         desk.robots.publish(topics.STATE, RobotState(board=BoardReading(loss=0.25), timing=FRESH), time.time_ns(), 1)
         expect(tile(page, 1)).to_contain_text("25 %")
         expect(tile(page, 1)).not_to_contain_text("thrust")  # it learns nothing
+
+
+def saved_times(page: Page) -> list[float]:
+    """Times of the rows that plot 1 shows."""
+    with page.expect_download() as download:
+        page.get_by_label(re.compile("Save plot 1")).select_option("csv")
+    rows = csv.reader(download.value.path().read_text(encoding="utf-8").splitlines())
+    return [float(row[0]) for row in list(rows)[1:]]
+
+
+def test_plots_show_the_flight_and_by_a_double_click_also_what_was_before_and_after(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        for mode in (Mode.DISARMED, Mode.TRACKING, Mode.DISARMED):
+            if mode is Mode.TRACKING:
+                desk.own_status = replace(desk.own_status, began_ns=desk.clock.now_ns())
+            for _ in range(20):
+                desk.robots.publish(topics.STATE, RobotState(mode=mode), time.time_ns(), 1)
+                page.wait_for_timeout(100)
+        flight = saved_times(page)
+        assert flight[0] >= 0.0 and flight[-1] > 1.0
+        plot = page.locator(".plot .u-over").first
+        plot.dblclick()
+        everything = saved_times(page)
+        assert everything[0] < -1.0 and everything[-1] > flight[-1] + 1.0
+        plot.dblclick()
+        assert saved_times(page) == flight
+
+
+def test_paper_gets_what_is_known_and_no_buttons(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        button(page, "Dark").or_(button(page, "Light")).click()
+        if page.evaluate("document.documentElement.dataset.theme") == "light":
+            button(page, "Dark").click()
+        page.emulate_media(media="print")
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        for shown in (".mission-state", ".pool canvas", ".alarms", ".plot >> nth=3"):
+            expect(page.locator(shown)).to_be_visible()
+        assert page.locator("button:visible").count() == page.locator(".tile button").count()
+        assert page.evaluate("getComputedStyle(document.body).color") == "rgb(16, 36, 46)"  # ink, on white
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        page.emulate_media(media="screen")
+        page.evaluate("dispatchEvent(new Event('afterprint'))")
+        expect(button(page, "Light")).to_be_visible()
 
 
 def test_a_curve_ends_where_its_robot_or_the_localizer_falls_silent(browser: Browser) -> None:

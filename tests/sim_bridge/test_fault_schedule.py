@@ -293,10 +293,11 @@ def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: 
 
 def test_a_fault_that_a_flight_from_a_logged_moment_cannot_have_is_said(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run.mcap", "name = 'pool'\n", {})
-    for k, line in enumerate(("by hand: t=3.100 thruster 1/2 weak 0.4", "by hand: t=5.000 for=9 radio 2 dead"), start=1):
+    made = ("t=3.100 thruster 1/2 weak 0.4", "t=4.000 radio 1 dead", "t=4.500 water gust 0.1", "t=5.000 for=9 camera frozen")
+    for k, line in enumerate((f"by hand: {fault}" for fault in made), start=1):
         recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
     recorder.close()
     (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
     experiment, (left_out,) = load_changed(tmp_path, [], [])
-    assert [fault.what for fault in experiment.sim.faults] == ["thruster 1/2 weak 0.4"]
-    assert f"fly sim-bridge sil {tmp_path / 'experiment.toml'} --fault 't=5.000 for=9 radio 2 dead'" in left_out
+    assert [fault.what for fault in experiment.sim.faults] == ["thruster 1/2 weak 0.4", "radio 1 dead", "water gust 0.1"]
+    assert f"fly sim-bridge sil {tmp_path / 'experiment.toml'} --fault 't=5.000 for=9 camera frozen'" in left_out

@@ -77,14 +77,14 @@ def test_a_result_with_other_types_is_listed_as_far_as_it_can_be_read(tmp_path: 
 
 
 def test_every_word_narrows_the_list(runs: Path) -> None:
-    assert [Path(run["run"]).name for run in listed(runs, "POOL", "failed")] == ["first"]
+    assert [Path(run["run"]).name for run in listed(runs, "POOL", "failed", "simulated")] == ["first"]
     done = CliRunner().invoke(cli, ["log", "list", "--in", str(runs), "nothing-like-this"])
     assert done.exit_code == 1
 
 
 def test_the_table_has_a_line_for_each_run(runs: Path) -> None:
     lines = CliRunner().invoke(cli, ["log", "list", "--in", str(runs)]).stdout.splitlines()
-    assert len(lines) == 4 and "lockstep" in lines[0] and lines[0].endswith("failed")
+    assert len(lines) == 4 and "simulated time" in lines[0] and lines[0].endswith("failed")
 
 
 def test_a_run_is_found_by_its_name_and_tags_until_it_is_deleted(runs: Path) -> None:

@@ -93,7 +93,10 @@ def test_figures_for_a_paper(runs: list[Path], tmp_path: Path) -> None:
 def test_runs_of_different_code_or_mode_compare_as_different(runs: list[Path]) -> None:
     (one,) = read(runs[:1])
     other = dataclasses.replace(one, result=dataclasses.replace(one.result, commit="b" * 40, mode="numeric"))
-    assert differences([one, other]) == [("(mode)", ("lockstep", "numeric")), ("(commit)", (one.result.commit, "b" * 40))]
+    assert differences([one, other]) == [
+        ("(mode)", ("simulated time", "numeric")),
+        ("(commit)", (one.result.commit, "b" * 40)),
+    ]
 
 
 def test_a_comparison_leaves_the_runs_as_they_are(runs: list[Path], tmp_path: Path) -> None:

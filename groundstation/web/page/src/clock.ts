@@ -27,9 +27,9 @@ export function clock(seconds: number): string {
   return `${seconds < 0 && whole > 0 ? "−" : ""}${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
 }
 
-/** Round values of the clock between two times of the station, `step` apart at least. */
+/** Round values of the clock between two times of the station, `step` apart at least; before any flight, counted from `high`. */
 export function ticks(low: number, high: number, step: number): number[] {
-  const begun = began() ?? 0;
+  const begun = began() ?? high;
   const found: number[] = [];
   for (let k = Math.ceil((low - begun) / step); k * step <= high - begun; k += 1) found.push(begun + k * step);
   return found;

@@ -1,9 +1,10 @@
 /** What the plots show: one row per tenth of a second since the page connected and the station's own rows before, a column per curve. Of a
  * recorded run, the whole run from the first. */
 
+import { began, since } from "./clock";
 import { fieldOf, valueAt } from "./fields";
 import type { RobotState } from "./messages";
-import { isAlone, onSamples, type Sample, scene } from "./store";
+import { isAlone, onSamples, type Sample, scene, shown } from "./store";
 import type { Scene } from "./wire";
 
 const ROW_S = 0.1;
@@ -12,6 +13,25 @@ const COARSE_S = 0.5; // between the whole states that are kept, for a field tha
 const COARSE_ROBOTS = 3600;
 const OLD_MS = 1000; // of silence: what was said before draws nothing, or a curve would go on as if it were heard
 const SPARE_ROWS = 300; // dropped at a time: shifting arrays for every row would cost more than drawing them
+
+const AT_REST = ["WAITING", "LOADING", "ARMING", "STOPPED", "DONE", "CANCELLED", "FAILED"]; // no flight is under way
+const FLIES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
+const WAIT_SHOWN_S = 60;
+let flew_s = -Infinity; // the last time at which a robot flew
+
+/** What plots show by themselves, of rows from `first_s` to `last_s`: the flight, and before one the last minute. */
+export function flight(first_s: number, last_s: number): [from_s: number, to_s: number] {
+  const [from_s, to_s] = [Math.max(began() ?? Infinity, first_s), Math.min(flew_s, last_s)];
+  return from_s < to_s ? [from_s, to_s] : [last_s - WAIT_SHOWN_S, last_s];
+}
+
+/** How long the formation has been flying; it stands when the flight is over. Null while nothing has been started. */
+export function flown(): number | null {
+  const state = shown.value;
+  if (state === null) return null;
+  const at_s = state.replay?.time_s ?? (AT_REST.includes(state.mission) ? flew_s : state.time_s);
+  return Number.isFinite(at_s) ? since(at_s) : null;
+}
 
 interface Curve {
   name: string;
@@ -154,6 +174,7 @@ function begin(s: Scene): void {
   columns.clear();
   recorded = [];
   coarse = [];
+  flew_s = -Infinity;
   coarse_s = Math.max(COARSE_S, (MOST_ROWS * ROW_S * s.robots.length) / COARSE_ROBOTS);
   for (const { id } of s.robots) {
     for (const chart of charts(s, id)) {
@@ -169,6 +190,7 @@ function begin(s: Scene): void {
 
 function add(sample: Sample): void {
   times.push(sample.time_s);
+  if ([...sample.robots.keys()].some((id) => FLIES.includes(state(sample, id)?.mode ?? ""))) flew_s = sample.time_s;
   if (coarse.length === 0 || sample.time_s - coarse.at(-1)!.time_s >= coarse_s) coarse.push({ ...sample, robots: new Map(sample.robots) });
   for (const [name, curve] of recorded) columns.get(name)!.push(curve.value(sample));
   if (times.length > MOST_ROWS + SPARE_ROWS) {

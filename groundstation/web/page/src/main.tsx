@@ -11,9 +11,9 @@ import { Alarms, Log } from "./panels/Alarms";
 import { End } from "./panels/End";
 import { Faults } from "./panels/Faults";
 import { Header } from "./panels/Header";
-import { Mission } from "./panels/Mission";
+import { Mission, Stopped } from "./panels/Mission";
 import { OneRobot } from "./panels/OneRobot";
-import { Plots } from "./panels/Plots";
+import { Plots, themeSerial } from "./panels/Plots";
 import { Replay } from "./panels/Replay";
 import { Runs } from "./panels/Runs";
 import { Tiles } from "./panels/Tiles";
@@ -30,7 +30,10 @@ function Page() {
       <main>
         <Pool />
         <aside>
-          <Alarms />
+          <div class="urgent">
+            <Alarms />
+            <Stopped />
+          </div>
           <End />
           <Mission />
           {editing.value && <Editor />}
@@ -58,6 +61,19 @@ function Page() {
     </div>
   );
 }
+
+/** Paper is light. What stands on canvases is turned light by the style sheet: nothing is drawn again before it is printed. */
+const root = document.documentElement.dataset;
+addEventListener("beforeprint", () => {
+  root["printed"] = root["theme"] ?? "dark";
+  root["theme"] = "light";
+  themeSerial.value += 1;
+});
+addEventListener("afterprint", () => {
+  root["theme"] = root["printed"] ?? "dark";
+  delete root["printed"];
+  themeSerial.value += 1;
+});
 
 startTheme();
 render(<Page />, document.getElementById("page")!);

@@ -3,6 +3,7 @@
 import { signal } from "@preact/signals";
 import { moment } from "../clock";
 import { acknowledgeAlarms, silenced } from "../sound";
+import { robotNames, together } from "../robot/names";
 import { alarms, lines, scene, shown } from "../store";
 import type { LogLine } from "../wire";
 
@@ -24,9 +25,9 @@ export function Alarms() {
       </h2>
       <ul aria-live="assertive">
         {current.length === 0 && <li class="none">none</li>}
-        {current.map((alarm) => (
+        {together(current, ({ level, text }) => `${level} ${text}`).map(([alarm, ...others]) => (
           <li key={alarm.key} class={alarm.level}>
-            <b>{MARK[alarm.level]}</b> {alarm.robot > 0 && `robot ${alarm.robot}: `}
+            <b>{MARK[alarm.level]}</b> {alarm.robot > 0 && `${robotNames([alarm, ...others].map(({ robot }) => robot))}: `}
             {alarm.text}
           </li>
         ))}

@@ -1,7 +1,8 @@
 /** The top line: what is flown, where the mission stands, who has control, and the emergency stop. */
 
-import { clock, since } from "../clock";
+import { clock } from "../clock";
 import { isLight, setTheme } from "../colours";
+import { flown } from "../history";
 import { order, releaseControl, takeControl } from "../link";
 import { ask } from "../Question";
 import { mayAlarm, soundOn, toggleSound } from "../sound";
@@ -88,7 +89,7 @@ export function Header() {
           {ended.value ? waiting.value : connected.value ? recorded(state) + state.mission_text + paused(state) : "last known: " + state.mission_text}
         </span>
       )}
-      {s !== null && state !== null && <span class="clock" title="Since the formation's flight began, of what is planned">{flown(state)} / {clock(state.flown_s || s.duration_s)}</span>}
+      {s !== null && state !== null && <span class="clock" title="Since the formation's flight began, of what is planned">{flown() === null ? "–" : clock(flown()!)} / {clock(state.flown_s || s.duration_s)}</span>}
       {connected.value && !ended.value && state !== null && <Pace pace={state.pace ?? null} />}
       <span class="gap" />
       <Link />
@@ -145,15 +146,4 @@ function recorded(state: NonNullable<typeof shown.value>): string {
 
 function paused(state: NonNullable<typeof shown.value>): string {
   return state.replay?.rate === 0 ? ", paused" : "";
-}
-
-const OVER = ["DONE", "CANCELLED", "FAILED"];
-let flying_s: number | null = null; // the last time at which this page saw the mission not over
-
-/** How long the formation has been flying, on the clock of report and log; it stands when the mission is over. */
-function flown(state: NonNullable<typeof shown.value>): string {
-  const over = state.replay === undefined && OVER.includes(state.mission);
-  if (!over) flying_s = state.replay?.time_s ?? state.time_s;
-  const s = flying_s === null ? null : since(flying_s);
-  return s === null ? "–" : clock(s);
 }

@@ -5,6 +5,7 @@ import { OtherFlight, OtherFlightButton } from "./OtherFlight";
 import { TypedPlace } from "./TypedPlace";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
+import { robotNames, together } from "../robot/names";
 import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
@@ -56,13 +57,11 @@ function Preflight({ state }: { state: Snapshot }) {
         Preflight: {ready} of {robots.length} ready
       </h3>
       <ul>
-        {robots
-          .filter(({ id }) => robots.length <= 6 || reasons.has(id))
-          .map(({ id }) => (
-            <li key={id} class={reasons.has(id) ? "no" : "yes"}>
-              <b>{reasons.has(id) ? "✕" : "✓"}</b> robot {id} {reasons.get(id)?.join("; ") ?? "ready"}
-            </li>
-          ))}
+        {together(robots.map(({ id }) => ({ id, why: reasons.get(id)?.join("; ") })), ({ why }) => why ?? "").map(([{ id, why }, ...others]) => (
+          <li key={id} class={why !== undefined ? "no" : "yes"}>
+            <b>{why !== undefined ? "✕" : "✓"}</b> {robotNames([id, ...others.map((other) => other.id)])} {why ?? "ready"}
+          </li>
+        ))}
       </ul>
     </div>
   );
@@ -116,7 +115,6 @@ function Given() {
 
 /** A stop of this page without an answer. */
 function Unheard() {
-  if (!stopUnheard.value) return null;
   return (
     <div class="stopped" role="alert">
       <h3>Emergency stop not heard</h3>
@@ -126,16 +124,15 @@ function Unheard() {
 }
 
 /** After a stop: who has confirmed, by name. Stays until the stop is cleared. */
-function Stopped({ state }: { state: Snapshot }) {
+function Confirmations({ state }: { state: Snapshot }) {
   now.value; // who is no longer heard confirms nothing
-  if (!state.stop) return null;
   const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.sentMs);
   const waiting = state.robots.filter((robot) => !stopped(robot));
   return (
     <div class="stopped" role="alert">
       <h3>Emergency stop</h3>
       <ul>
-        {state.robots.map((robot) => {
+        {[...waiting, ...state.robots.filter(stopped)].map((robot) => {
           const done = stopped(robot);
           const once = robot.state?.mode === "STOPPED";
           return (
@@ -155,6 +152,18 @@ function Stopped({ state }: { state: Snapshot }) {
       </button>
       <p class="hint">The run goes on after Clear stop: Return to start, then Start. End run shows its verdict and its replay.</p>
     </div>
+  );
+}
+
+/** What became of an emergency stop. */
+export function Stopped() {
+  const state = shown.value;
+  if (state === null || scene.value?.mode === "replay" || ended.value) return null;
+  return (
+    <>
+      {stopUnheard.value && <Unheard />}
+      {state.stop && <Confirmations state={state} />}
+    </>
   );
 }
 
@@ -285,8 +294,6 @@ export function Mission() {
   return (
     <section class="mission" aria-label="Mission">
       <h2>Mission</h2>
-      <Unheard />
-      <Stopped state={state} />
       {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
       <Folder state={state} />
       {state.flown && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}

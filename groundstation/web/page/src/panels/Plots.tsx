@@ -1,13 +1,14 @@
-/** Four plots, each of what its heading says; drag to zoom, double click to see all, pause to look in peace. */
+/** Four plots, each of what its heading says, of the flight, or the last minute before it; drag to zoom, double click to see the
+ * flight again, once more to see all; pause to look in peace. */
 
 import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { moment, ticks } from "../clock";
+import { began, moment, ticks } from "../clock";
 import { css, robotColour } from "../colours";
 import { idOf } from "../fields";
-import { type Chart, charts, column, fieldChart, record, times } from "../history";
+import { type Chart, charts, column, fieldChart, flight, record, times } from "../history";
 import { keep, layouts, link, show, SLOTS, slots } from "../layout";
 import { placeOf } from "../pool/path";
 import { ask } from "../Question";
@@ -21,6 +22,7 @@ const FALLBACK = [0, 1, 2, 3, 4, 5, 6, 7];
 
 export const themeSerial = signal(0);
 export const paused = signal(false);
+const view = signal<"flight" | "all" | "part">("flight"); // of all plots: times that they show
 
 function options(s: Scene, chart: Chart, width: number, height: number): uPlot.Options {
   const axis = { stroke: css("--dim"), grid: { stroke: css("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
@@ -31,7 +33,7 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
     legend: { live: true, isolate: true },
     scales: { x: { time: false }, y: { range: (_, low, high) => range(chart, low, high) } },
     axes: [
-      { ...axis, size: 22, gap: 2, space: 72, splits: (_, __, low, high, step) => ticks(low, high, step), values: (_, at) => at.map(moment) }, // room for a time of day
+      { ...axis, size: 22, gap: 2, space: 50, splits: (_, __, low, high, step) => ticks(low, high, step), values: (plot, at) => at.map((t) => tick(t, plot.scales["x"]!.max!)) },
       { ...axis, size: 44, gap: 2 },
     ],
     series: [
@@ -54,6 +56,11 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
       ],
     },
   };
+}
+
+/** The label of a tick. Before any flight, time is counted back from the end of the axis. */
+function tick(time_s: number, end_s: number): string {
+  return began() === null ? `${Math.round(time_s - end_s)} s` : moment(time_s);
 }
 
 const DASHES = [[], [8, 3], [2, 3], [9, 3, 2, 3]]; // beside the colour: not everybody tells colours apart, and no print does
@@ -123,7 +130,6 @@ function Plot({ slot }: { slot: number }) {
   useEffect(() => {
     const box = ref.current;
     if (s === null || chart === undefined || box === null) return;
-    let zoomed = false;
     const data = (): uPlot.AlignedData => {
       record(chart, chosen); // each time: another run begins without it
       return [times, ...chart.curves.map((curve) => column(chart, curve, chosen))];
@@ -132,17 +138,26 @@ function Plot({ slot }: { slot: number }) {
     const size = () => ({ width: box.clientWidth, height: Math.max(80, box.clientHeight - (many ? 2 : 24)) });
     const plot = new uPlot({ ...options(s, chart, size().width, size().height), ...(many ? { legend: { show: false } } : {}) }, data(), box);
     drawn.current = plot;
-    plot.over.addEventListener("mouseup", () => (zoomed = plot.select.width > 2 || zoomed));
-    plot.over.addEventListener("dblclick", () => (zoomed = false));
+    const rescale = (what = view.peek()) => {
+      const [first_s, last_s] = [plot.data[0][0], plot.data[0].at(-1)];
+      if (what === "part" || first_s === undefined || last_s === undefined) return;
+      const [min, max] = what === "all" && first_s < last_s ? [first_s, last_s] : flight(first_s, last_s);
+      plot.setScale("x", { min, max });
+    };
+    const forget = view.subscribe(rescale);
+    plot.over.addEventListener("mouseup", () => (view.value = plot.select.width > 2 ? "part" : view.peek()));
+    plot.over.addEventListener("dblclick", () => (view.value = view.peek() === "flight" ? "all" : "flight"));
     const timer = setInterval(() => {
       if (paused.peek() || document.hidden) return;
-      plot.setData(data(), !zoomed);
+      plot.setData(data(), false);
+      rescale();
       if (plot.cursor.idx == null) plot.setLegend({ idx: presentRow() }); // the values of now, where nobody points at others
     }, many ? MANY_EVERY_MS : DRAW_EVERY_MS);
     const watch = new ResizeObserver(() => plot.setSize(size()));
     watch.observe(box);
     return () => {
       clearInterval(timer);
+      forget();
       watch.disconnect();
       plot.destroy();
     };

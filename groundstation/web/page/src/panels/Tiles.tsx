@@ -6,6 +6,7 @@ import { ageMs, alarms, choose, isChosen, isStale, live, now, scene, shown } fro
 import type { RobotNews, Scene } from "../wire";
 
 const MARK: Record<string, string> = { DISARMED: "○", ARMED: "◐", TRACKING: "▶", HOLDING: "❚❚", STOPPED: "■", FAULT: "✕", DRIVEN: "✥" };
+const FLIES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
 const MANY = 6; // from here on a tile tells the mode, the error, the pose, and what is wrong
 const RISES_MS = 2000; // what has been amiss for so long brings a tile to the front,
 const SINKS_MS = 15_000; // and it stays there for so long: a notice that comes and goes moves nothing under a hand
@@ -58,6 +59,11 @@ function doing(state: RobotState): string {
   return `${MARK[state.mode]} ${state.mode.toLowerCase()}${along}`;
 }
 
+/** What the board does, where that is not as the mode has it. */
+function unlike(mode: string, armed: boolean): string {
+  return armed === FLIES.includes(mode) ? "" : armed ? ", board armed" : ", board not armed";
+}
+
 function Fact({ name, value, bad }: { name: string; value: string; bad?: boolean | undefined }) {
   return (
     <div class={bad ? "bad" : ""}>
@@ -83,13 +89,14 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
       data-robot={robot.id}
       data-mode={state?.mode ?? "NONE"}
       style={`--robot: ${robotColour(place)}`}
+      onMouseDown={(event) => event.shiftKey && event.preventDefault()} // else the browser marks the text between two clicks
       onClick={(event) => choose(robot.id, event.shiftKey || event.ctrlKey || event.metaKey)} // anywhere on it, and by its button for keys
     >
       <button type="button" class="name" aria-pressed={chosen} title="Choose it; with Shift or Ctrl, choose several">
         <span class="id">{robot.id}</span>
         <span class="mode">
           {state ? doing(state) : "not heard"}
-          {state?.board?.armed && <small>, board armed</small>}
+          {state?.board && <small>{unlike(state.mode, state.board.armed)}</small>}
         </span>
         <span class="age">{stale ? `${state ? "last heard " : ""}${state ? age(ageMs(robot, live.sentMs)) + " ago" : ""}` : age(ageMs(robot, live.sentMs))}</span>
       </button>
