@@ -16,7 +16,9 @@ from shoal.mavlink import framing
 from shoal.mavlink.agent_link import ACCEPTED, IGNORED
 from shoal.mavlink.frame_codec import Peer
 from shoal.mavlink.framing import Sequence8
+from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key, SignatureVerifier
+from sim_bridge.board_conformance.cli import _in_hil
 from sim_bridge.board_conformance.probe import BoardProbe
 from sim_bridge.board_conformance.rules import RULES
 from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
@@ -91,6 +93,28 @@ def test_a_dry_run_turns_nothing_and_says_what_it_left_out() -> None:
     assert bench.worst_us == 0
     skipped = {name for name, outcome in outcomes.items() if outcome.verdict is RuleVerdict.SKIPPED}
     assert skipped == {rule.name for rule in RULES if rule.spins or rule.signed}
+
+
+class DeafWire(SteppedWire):
+    """A wire that loses the next frame to the board while `loses`."""
+
+    loses = False
+
+    def send(self, data: bytes) -> None:
+        if not self.loses:
+            super().send(data)
+        self.loses = False
+
+
+@pytest.mark.parametrize("hil", [False, True])
+def test_a_board_in_hil_mode_is_told_though_a_question_is_lost(hil: bool) -> None:
+    wire, client = DeafWire(), ParameterClient(1)
+    wire.send(client.set("HIL_MODE", float(hil)))
+    while wire.now_ns() < 1_000_000_000:
+        wire.receive(1_000_000_000)
+    wire.loses = True
+    assert _in_hil(wire, client) == hil  # private: the command opens real links
+    assert client.values["HIL_MODE"] == hil and wire.now_ns() < 3_000_000_000
 
 
 class HalfFrameWire(SteppedWire):
