@@ -20,7 +20,7 @@ from scipy import stats
 from typer.testing import CliRunner
 
 from groundstation.analysis.measures import TIMINGS
-from groundstation.analysis.statistics import mean
+from groundstation.analysis.statistics import Interval, mean
 from groundstation.planning import planner
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.config.loader import check
@@ -32,7 +32,8 @@ from sim_bridge.__main__ import cli
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
-from sim_bridge.studies.dependence import dependence, dependences, lines, reasons
+from sim_bridge.studies.dependence import KeyValue, dependence, dependences, lines, reasons
+from sim_bridge.studies.report import _panel
 from sim_bridge.studies.statistics import distribution, quantile, rate
 from tests.forked import ended
 from tests.planted import installed
@@ -152,6 +153,16 @@ def test_differences_are_paired_and_flights_with_a_fault_are_counted_but_not_ave
     assert level.value == pytest.approx(3.6) and (second.flights, second.faults) == (4, 1)
     assert reasons(flights) == [(1, "faults"), (1, "no pose")]
     assert max(len(line) for line in lines(flights, dependences(loaded, flights))) <= 80
+
+
+def test_an_interval_is_drawn_from_its_lower_end_to_its_upper_one() -> None:
+    """A mean of one flight has no ends, and is drawn as a dot."""
+    means = [Interval(2.0, 1.5, 2.5), Interval(-1.0, -2.0, 0.0), Interval(3.0, None, None)]
+    none, measure = Interval(0.0, None, None), "rms_after_20s_m"
+    values = [KeyValue(str(k), 1, none, 0, {measure: [mean.value]}, {measure: mean}, {}) for k, mean in enumerate(means)]
+    axes = _panel("k", values, [0.0, 1.0, 2.0], measure, 4.0).axes[0]  # private: a report holds it as a picture
+    drawn = [np.asarray(line.get_ydata()).tolist() for line in axes.lines if line.get_linewidth() == 2.0]
+    assert [ends for ends in ([1.5, 2.5], [-2.0, 0.0], [3.0, 3.0]) if ends not in drawn] == []
 
 
 @pytest.fixture(scope="module")
