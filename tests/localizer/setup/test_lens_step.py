@@ -19,10 +19,10 @@ def picture(right_px: float) -> Pixels:
 
 
 def test_a_view_is_kept_of_a_board_that_is_held_still_at_a_new_place() -> None:
-    step, told = LensStep("chessboard:9x6:0.015", LENS), []
+    step, advice = LensStep("chessboard:9x6:0.015", LENS), []
     for right_px in (0.0, 10.0, 20.0, 20.2, 20.0, 170.0, 170.2):
         step.offer(picture(right_px))
-        told.append(step.advice)
+        advice.append(step.advice)
     still, alike = "hold it still", "as in a view before: move or tilt it"
-    assert told == [still, still, still, "kept view 1", alike, still, "kept view 2"]
+    assert advice == [still, still, still, "kept view 1", alike, still, "kept view 2"]
     assert len(step.views) == 2

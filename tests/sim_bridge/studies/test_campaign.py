@@ -33,7 +33,7 @@ from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
 from sim_bridge.studies.dependence import KeyValue, dependence, dependences, lines, reasons
-from sim_bridge.studies.report import _panel
+from sim_bridge.studies.report import _panel  # a report holds it as a picture
 from sim_bridge.studies.statistics import distribution, quantile, rate
 from tests.forked import ended
 from tests.planted import installed
@@ -160,7 +160,7 @@ def test_an_interval_is_drawn_from_its_lower_end_to_its_upper_one() -> None:
     means = [Interval(2.0, 1.5, 2.5), Interval(-1.0, -2.0, 0.0), Interval(3.0, None, None)]
     none, measure = Interval(0.0, None, None), "rms_after_20s_m"
     values = [KeyValue(str(k), 1, none, 0, {measure: [mean.value]}, {measure: mean}, {}) for k, mean in enumerate(means)]
-    axes = _panel("k", values, [0.0, 1.0, 2.0], measure, 4.0).axes[0]  # private: a report holds it as a picture
+    axes = _panel("k", values, [0.0, 1.0, 2.0], measure, 4.0).axes[0]
     drawn = [np.asarray(line.get_ydata()).tolist() for line in axes.lines if line.get_linewidth() == 2.0]
     assert [ends for ends in ([1.5, 2.5], [-2.0, 0.0], [3.0, 3.0]) if ends not in drawn] == []
 
