@@ -33,6 +33,9 @@ CAMPAIGN = {
 }  # fmt: skip
 CHARTS = "document.querySelectorAll('.uplot').length"
 TOO_WIDE = "[...document.querySelectorAll('main, .card, figure')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
+NOTE_PRINTED = """matchMedia("print").addEventListener("change", ({ matches }) => {
+  if (matches) window.printedPx = document.documentElement.clientWidth;
+})"""  # a browser lays out what is too wide on a wider page, shrinks that, and cuts the rest
 TIMES = "[...document.querySelectorAll('#tracking .u-legend tr:first-child .u-value')].map((e) => e.textContent)"
 
 
@@ -66,6 +69,9 @@ def test_a_broken_runs_report_zooms_together_and_requests_nothing(browser: Brows
     page.wait_for_function("!document.body.classList.contains('zoomed')")
     assert page.evaluate(TOO_WIDE) == 0
     assert serious(page) == []
+    page.evaluate(NOTE_PRINTED)
+    page.pdf(format="A4")
+    assert page.evaluate("printedPx") < 700  # A4 within its margins: nothing is cut
     assert trouble == []
     page.close()
 

@@ -2,7 +2,7 @@
 // Needs uPlot, which is Copyright (c) 2022 Leon Sorokin, under the MIT licence (groundstation/web/LICENSES.txt).
 "use strict";
 (() => {
-  const CURSOR = "time", AXIS_PX = 62, ROW_PX = 24, GREY = "#767676", INK = "#1c2733", FAULT = "#a33b00", GRID = { stroke: "#e6e6e6", width: 1 };
+  const CURSOR = "time", AXIS_PX = 62, PRINTED_PX = 296 /* within a column of A4 and of letter paper */, ROW_PX = 24, GREY = "#767676", INK = "#1c2733", FAULT = "#a33b00", GRID = { stroke: "#e6e6e6", width: 1 };
   const charts = [];
   let range = null; // [from, to] in s that every plot shows; null: everything there is
 
@@ -238,7 +238,12 @@
   const figures = document.querySelectorAll("figure.plot");
   const near = new IntersectionObserver((seen) => seen.forEach((e) => e.isIntersecting && make(e.target)), { rootMargin: "800px" });
   figures.forEach((figure) => near.observe(figure));
-  addEventListener("beforeprint", () => figures.forEach(make));
+  const resize = (width) => charts.forEach(({ chart }) => chart.setSize({ width: width ?? chart.root.parentElement.clientWidth, height: chart.height }));
+  addEventListener("beforeprint", () => {
+    figures.forEach(make);
+    resize(PRINTED_PX);
+  });
+  addEventListener("afterprint", () => resize());
   document.querySelectorAll("figure > svg").forEach(zoomable);
   paper.tables();
   document.querySelectorAll("[data-time]").forEach((row) => row.addEventListener("click", () => {
