@@ -141,8 +141,8 @@
       height: ROW_PX * n + 44,
       cursor: { ...common.cursor, y: false },
       legend: { show: false },
-      scales: { x: { time: false, range: (_, min, max) => [min, max] }, y: { range: [n, 0] } },
-      axes: [common.xAxis, { stroke: "#333", grid: { show: false }, ticks: { show: false }, size: Math.max(AXIS_PX + 18, 7 * wide + 16), splits: () => plot.rows.map((_, i) => i + 0.5), values: () => plot.rows.map(([name]) => name) }],
+      scales: { x: { time: false, range: (_, min, max) => [min, max] }, y: { range: [0, n], dir: -1 } },
+      axes: [common.xAxis, { stroke: "#333", grid: { show: false }, ticks: { show: false }, size: Math.max(AXIS_PX + 18, 7 * wide + 16), space: ROW_PX / 2, splits: () => plot.rows.map((_, i) => i + 0.5), values: () => plot.rows.map(([name]) => name) }],
       series: [{}, { show: true, paths: () => null, points: { show: false } }],
       hooks: {
         setSelect: [common.selected],
