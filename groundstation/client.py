@@ -8,6 +8,7 @@ with connect() as bus:
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,8 @@ from shoal.config.experiment import NO_CAMERA, Experiment, dump_flight, load_exp
 from shoal.errors import ConfigError
 from shoal.messages.codec import LONGEST_TEXT
 from shoal.messages.live_gains import values_of
-from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply, StationHeartbeat, Tuning
-from shoal.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Progress, Reply, StationHeartbeat, Tuning
+from shoal.messages.topics import HEARTBEAT, Role, process_name
 from shoal.runtime.cli_options import DEFAULT_FLEET
 
 ORDER_TIMEOUT_S = 2.0
@@ -124,7 +125,8 @@ def limit(bus: Bus, patience_s: float) -> Callable[[], bool]:
 def follow(
     ask: Callable[[Command], Reply], command: Command, over: Callable[[], bool], report: Callable[[Outcome], None]
 ) -> Reply:
-    """Make a request, and query its outcome until it is known or the wait is `over`. Returns the last reply.
+    """Make a request, and query its outcome until it is known or the wait is `over`. Returns the last reply that tells of it,
+    with the reason why nothing newer is known where the station does not answer, or knows nothing of it any more.
 
     An emergency stop without a reply is repeated.
     """
@@ -137,7 +139,12 @@ def follow(
             return reply
         time.sleep(ASK_EVERY_S)
         answer = ask(Command(CommandKind.NONE, robot=WHOLE_FLEET, about=reply.outcome.request))
-        reply = reply if answer.silent else answer
+        if answer.outcome is not None:
+            reply = answer
+        elif answer.silent:
+            reply = replace(reply, reason=answer.reason)
+        else:  # it was started again: a request of that number would be another one
+            return replace(reply, reason=f"the station knows nothing of it any more ({answer.reason})")
     return reply
 
 
@@ -149,5 +156,7 @@ def verdict(reply: Reply, patience_s: float) -> tuple[bool, str]:
     if outcome is None:
         return False, "under way, and this station does not tell what becomes of it"
     if outcome.progress is Progress.UNDER_WAY:
+        if reply.reason and patience_s > 0.0:
+            return False, f"not known whether it is done: {reply.reason}"
         return (True, "taken by the station") if patience_s == 0.0 else (False, f"not done within {patience_s:g} s")
     return outcome.progress is Progress.DONE, in_words(outcome)

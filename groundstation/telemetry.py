@@ -360,7 +360,7 @@ def _start(experiment: Experiment, state: RobotState, start: Array) -> FindingFi
     fresh = age_ms is not None and age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3
     if fresh and away_m > experiment.mission.start_within_m:
         text = f"is {away_m:.2f} m from its start ({start[0]:.2f}, {start[1]:.2f}) m"
-        yield "start", "notice", True, text, "bring it there, or: groundstation mission return"
+        yield "start", "notice", True, text, "bring it there, or Return to start (groundstation mission return)"
 
 
 def blocking_findings(

@@ -8,7 +8,6 @@ import typer
 from localizer.calibration.cli import calibrate, check, print_markers
 from localizer.evaluation.cli import SourceName, evaluate, latency, rerun, track
 from localizer.setup.cli import setup
-from shoal.config.experiment import load_experiment
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -67,6 +66,7 @@ def run(
 
     from localizer import node
     from shoal.bus.network import endpoint
+    from shoal.config.experiment import load_experiment
     from shoal.messages.topics import Role, localizer_name, process_name
 
     start_log(localizer_name(camera), verbose)
@@ -94,6 +94,7 @@ def fuse(
     """
     from localizer import fusion_node
     from shoal.bus.network import endpoint
+    from shoal.config.experiment import load_experiment
     from shoal.messages.topics import Role, process_name
 
     start_log("localizer", verbose)

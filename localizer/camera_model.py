@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from localizer import kernels
 from shoal.config.loader import Section
 from shoal.config.perception import Camera
 from shoal.frames import Array
 
-LARGEST_FOLD_PX = 0.1  # px; a lens whose picture's edge is farther off gives wrong places there
+LARGEST_FOLD_PX = 0.1  # px; a lens with pixels that are farther off gives wrong places there
 # Undistortion is a fixed-point iteration. OpenCV's default of 5 rounds stops 0.3 px short in the corners of a wide lens.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
 
@@ -50,14 +50,14 @@ class Intrinsics(Section):
 
 
 def fold_px(lens: Intrinsics) -> float:
-    """Largest error of undistorting and distorting the picture's edge, px; above zero where the polynomial folds over."""
+    """Largest error of undistorting and distorting the picture's pixels, px; above zero where the polynomial folds over, or
+    its iteration does not end: with k3 perhaps only on the way to an edge that is right."""
     width, height = lens.size_px
-    x, y = np.linspace(0.0, width - 1.0, 33), np.linspace(0.0, height - 1.0, 25)
-    edge = np.concatenate([np.stack(np.broadcast_arrays(x, v), axis=-1) for v in (y[0], y[-1])])
-    edge = np.concatenate([edge, *(np.stack(np.broadcast_arrays(u, y), axis=-1) for u in (x[0], x[-1]))])
-    rays = lens.rays(edge)
+    x, y = np.linspace(0.0, width - 1.0, 65), np.linspace(0.0, height - 1.0, 49)
+    pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    rays = lens.rays(pixels)
     back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion))
-    return float(np.abs(np.asarray(back)[:, 0] - edge).max())
+    return float(np.abs(np.asarray(back)[:, 0] - pixels).max())
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,6 @@ class RefractiveCamera:
         slant = float(np.linalg.norm(point - camera)) / max(float(point[2] - camera[2]), 1e-9)
         return slant * (max(float(point[2]), 0.0) - index * float(min(camera[2], 0.0)))
 
-    def shows(self, points: Array) -> NDArray[np.bool_]:
-        """Mask (n,) of pool points (n, 3) that lie before the lens. Those behind it have pixels too: mirrored ones."""
-        return np.asarray((points - self.numbers[9:12]) @ self._pool_to_camera[2] > 0.0)
-
     def pixel_to_pool(self, points_px: ArrayLike, depth_m: ArrayLike) -> Array:
         """Map pixels (..., 2) to pool x, y (..., 2) on the planes at `depth_m` (scalar or (...))."""
         pixels = np.asarray(points_px, dtype=np.float64)
@@ -115,7 +111,7 @@ class RefractiveCamera:
         return places
 
     def pool_to_pixel(self, points_pool: ArrayLike) -> Array:
-        """Map pool points (..., 3) to pixels (..., 2)."""
+        """Map pool points (..., 3) to pixels (..., 2); NaN for points that do not lie before the lens."""
         points = np.asarray(points_pool, dtype=np.float64)
         pixels = np.empty((*points.shape[:-1], 2))
         kernels.pixels_of(self.numbers, _rows(points), pixels.reshape(-1, 2))

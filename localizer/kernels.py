@@ -66,7 +66,7 @@ def pool_point(camera: Floats, u: float, v: float, depth: float) -> tuple[float,
 
 @kernel(part=True)
 def pixel_of(camera: Floats, x: float, y: float, z: float) -> tuple[float, float]:
-    """Pixel u, v of a pool point [m].
+    """Pixel u, v of a pool point [m]; NaN of one that does not lie before the lens, whose pixel would be a mirrored one.
 
     Under water, Newton on g(r) = r + depth tan(water angle at r) - reach, with r the horizontal distance from the camera's
     foot to the point on the surface. The tangent, by Snell r / sqrt(n^2 (r^2 + h^2) - r^2), stays well-behaved down to depth
@@ -90,6 +90,8 @@ def pixel_of(camera: Floats, x: float, y: float, z: float) -> tuple[float, float
     across = camera[12] * seen_x + camera[13] * seen_y + camera[14] * seen_z
     down = camera[15] * seen_x + camera[16] * seen_y + camera[17] * seen_z
     along = camera[18] * seen_x + camera[19] * seen_y + camera[20] * seen_z
+    if not along > 0.0:
+        return math.nan, math.nan
     a = across / along
     b = down / along
     r2 = a * a + b * b

@@ -253,8 +253,7 @@ class LocalizerNode:
             )
         except Exception as error:
             log.error("obstacles: %s: %s; the water is learnt anew", type(error).__name__, error, exc_info=error)
-            self._obstacle_detector = ObstacleDetector(self._experiment)
-            obstacles = Obstacles()  # says that nothing is watched
+            self._obstacle_detector, obstacles = self._obstacle_detector.begun_anew(captured.instant_ns)
         if obstacles is not None:
             self._obstacles, self._obstacles_ns = obstacles, captured.stamp_ns
             self._bus.publish(

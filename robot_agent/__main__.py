@@ -6,10 +6,8 @@ from typing import Annotated
 import typer
 
 from robot_agent.commands import check, compile_kernels, confirm_zero, init, unit
-from robot_agent.host.config import merge_config, open_board_link
 from robot_agent.host.params import cli as params
 from robot_agent.preflight.identify import cli as identify
-from shoal.config.experiment import load_experiment
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
@@ -77,11 +75,13 @@ def run(
                           robot-agent run --config /etc/shoal/agent.toml
     """
     from robot_agent.host import realtime
+    from robot_agent.host.config import merge_config, open_board_link
     from robot_agent.host.sd_notify import ServiceNotifier
     from robot_agent.node import AgentNode
     from shoal.bus.bus import Bus
     from shoal.bus.network import endpoint
     from shoal.bus.zenoh_transport import ZenohTransport, receive_on_one_thread
+    from shoal.config.experiment import load_experiment
     from shoal.messages.topics import Role, process_name
 
     given = {

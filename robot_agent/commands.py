@@ -4,27 +4,25 @@ import re
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, confirmed, read_record, state_folder, write_record
-from robot_agent.host.config import load_agent_config, merge_config, template
-from robot_agent.preflight.findings import CheckFinding, CheckVerdict, exit_code, to_json
-from shoal.bus.endpoint import parse_address
-from shoal.bus.network import refuse_open
-from shoal.config.experiment import Experiment, load_experiment
-from shoal.config.scene import LARGEST_ROBOT
+from shoal.config import LARGEST_ROBOT
 from shoal.errors import ConfigError, os_errors_as_config_errors
-from shoal.mavlink.agent_link import CALIBRATE, UNSUPPORTED
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName
 from shoal.runtime.output_files import check_output, replace_text
 from shoal.runtime.runtime import start_log
 
+if TYPE_CHECKING:
+    from robot_agent.preflight.findings import CheckFinding
+    from shoal.config.experiment import Experiment
+
 ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The board's configuration (`robot-agent init`).")]
 DEFAULT_CONFIG = Path("agent.toml")
-COLOURS = {CheckVerdict.OK: "green", CheckVerdict.WARN: "yellow", CheckVerdict.FAIL: "red", CheckVerdict.SKIPPED: None}
+COLOURS = {"ok": "green", "warn": "yellow", "FAIL": "red", "skipped": None}  # by verdict
 UNIT_NAME = "shoal-agent.service"
 CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and is no hand near it?"
 
@@ -47,6 +45,11 @@ def init(
 
     Example:  robot-agent init --robot 2 --station tls/192.0.2.10:7447 --keys keys
     """
+    from robot_agent.host.config import merge_config, template
+    from shoal.bus.endpoint import parse_address
+    from shoal.bus.network import refuse_open
+    from shoal.config.experiment import load_experiment
+
     parse_address(station)
     if keys is None:
         refuse_open(station, insecure)
@@ -125,7 +128,9 @@ def confirm_zero(
 
     Example:  sudo robot-agent confirm-zero
     """
+    from robot_agent.host.config import load_agent_config
     from robot_agent.host.zero_request import ask_program, only_request, tell_board
+    from shoal.mavlink.agent_link import CALIBRATE, UNSUPPORTED
 
     where = folder or state_folder() or SERVICE_FOLDER
     with os_errors_as_config_errors(where / FILE), only_request(where):
@@ -154,7 +159,9 @@ def check(
 
     Example:  robot-agent check --json
     """
+    from robot_agent.host.config import load_agent_config
     from robot_agent.preflight.board import run_preflight
+    from robot_agent.preflight.findings import exit_code, to_json
     from robot_agent.preflight.thrusters import turn_thrusters
 
     start_log("check")
@@ -165,16 +172,15 @@ def check(
     def ask(question: str) -> bool:
         return typer.confirm(question, default=True, err=True)
 
-    def turn(experiment: Experiment) -> Iterator[CheckFinding]:
+    def turn(experiment: "Experiment") -> "Iterator[CheckFinding]":
         return turn_thrusters(experiment, board, None if yes else ask)
 
     findings = []
     for finding in run_preflight(board, turn if thrusters else None):
         findings.append(finding)
         if not json:
-            typer.echo(
-                f"{finding.what:16}{typer.style(f'{finding.verdict.value:9}', fg=COLOURS[finding.verdict])}{finding.detail}"
-            )
+            verdict = finding.verdict.value
+            typer.echo(f"{finding.what:16}{typer.style(f'{verdict:9}', fg=COLOURS[verdict])}{finding.detail}")
     if json:
         typer.echo(to_json(findings))
     raise typer.Exit(exit_code(findings))

@@ -170,11 +170,12 @@ class AgentNode:
         if self.mavlink.telemetry.autopilot_name:
             log.log(level, "%s; %s is on the link: nothing is sent to it", why, self.mavlink.telemetry.autopilot_name)
             return
-        log.log(
-            level if disarmed else max(level, logging.WARNING),
-            "%s; neutral and disarm sent to the thruster board, %s", why,
-            "which says that it is disarmed" if disarmed else f"which has not said within {LEAVE_S:g} s that it is disarmed",
-        )  # fmt: skip
+        if disarmed:
+            log.log(level, "%s; neutral and disarm sent to the thruster board, which says that it is disarmed", why)
+            return
+        silence, trouble = f"which has not said within {LEAVE_S:g} s that it is disarmed", self.link.trouble
+        outcome = f"may not have reached the thruster board ({trouble})" if trouble else "sent to the thruster board"
+        log.log(max(level, logging.WARNING), "%s; neutral and disarm %s, %s", why, outcome, silence)
 
     def greet(self) -> None:
         """Send a heartbeat, so that a board behind UDP learns our address; renew the kept times of signatures."""

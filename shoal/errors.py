@@ -1,4 +1,4 @@
-"""Errors of configuration: what a person wrote that cannot be used."""
+"""Errors that end a program with one message: a configuration that cannot be used, a station that cannot be reached."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,6 +7,10 @@ from pathlib import Path
 
 class ConfigError(Exception):
     """A configuration that cannot be used. The message is for the person who wrote the file."""
+
+
+class Unreached(Exception):
+    """The station's router cannot be reached, or the process is to stop before it could be."""
 
 
 @contextmanager

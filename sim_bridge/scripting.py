@@ -13,9 +13,9 @@ from typing import Any
 from groundstation import client
 from groundstation.scripting.fleet import ConnectedFleet, NotHeard
 from groundstation.scripting.runs import FlownRun
-from shoal.bus.transport import Unreached
 from shoal.config.experiment import NO_CAMERA, load_experiment
 from shoal.config.loader import toml_value
+from shoal.errors import Unreached
 from shoal.runtime.output_files import new_run_folder
 from shoal.runtime.runtime import Failed, Stop
 from shoal.system import programs

@@ -319,3 +319,30 @@ def test_the_agent_runs_on_the_base_install() -> None:
         distributions = {canonicalize_name(name) for name in owners.get(module, ())}
         extra = f"importing the robot's software also imports {module}, which its board does not have"
         assert not distributions or distributions & base, extra
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("package", "allowed"),
+    [("groundstation", {"numpy", "google"}), ("robot_agent", set()), ("localizer", set()), ("sim_bridge", set())],
+)
+def test_a_command_line_loads_only_what_reads_it(package: str, allowed: set[str]) -> None:
+    """A command imports what it needs when it runs: `stop`, `--help` and completion wait for nothing else. The station's
+    requests are messages, which are made of numpy and protobuf."""
+    heavy = {
+        "numpy",
+        "google",
+        "pydantic",
+        "scipy",
+        "numba",
+        "cv2",
+        "matplotlib",
+        "zenoh",
+        "pymavlink",
+        "serial",
+        "mcap",
+        "rich",
+    }
+    script = f"import sys; import {package}.__main__; print(*{{m.partition('.')[0] for m in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert heavy & set(done.stdout.split()) <= allowed

@@ -20,7 +20,6 @@ from groundstation.analysis.series import HOPS, Flight, Mask, RobotSeries, Serie
 from groundstation.analysis.timeline import STOOD_STILL, once
 from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import DecodedMessage, RunLog
-from groundstation.logs.session_clocks import is_old_line
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Circle, PathSpec
 from shoal.errors import ConfigError
@@ -38,6 +37,7 @@ from shoal.messages.messages import (
     Trajectory,
     Truth,
 )
+from shoal.messages.session_clocks import is_old_line
 
 LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
 OLD_POSE_MS = 150.0  # a step that goes by an older one came without a pose: its age is no latency

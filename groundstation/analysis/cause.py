@@ -58,14 +58,12 @@ def cause(result: Result, series: Series) -> Cause | None:
         return None
     noticed = result.faults or (() if series.started else faults(series.timeline_events))
     act = _persons_act(series)
-    lasting = [f for f in noticed if (_explains(f, act, series) if act is not None else not _healed(f, series))]
+    if act is None:
+        lasting = [fault for fault in noticed if not _healed(fault, series)]
+    else:
+        lasting = [fault for fault in noticed if _explains(fault, act, series)]
     if lasting:
-        first, injected = lasting[0], _injected_before(lasting[0], series)
-        still = _standstills_before(first, series)
-        if still:
-            sources = ", ".join(event.source for event in still)
-            return _cause(still[0], sources, f"{still[0].text} ({first.source}: {first.text})", result, series, injected)
-        return _cause(first, first.source, first.text, result, series, injected)
+        return _of_fault(lasting[0], result, series)
     if act is not None:
         return _cause(act, PERSON, ACTS[act.text], result, series)
     ended = _ended_by(series)
@@ -101,6 +99,16 @@ def _cause(event: TimelineEvent, noticed_by: str, text: str, result: Result, ser
     )
     outcome = _flown(series) if noticed_by == PERSON else _outcome(result, series)  # what is not judged, misses nothing
     return Cause(text, event.time_s, noticed_by, injected, outcome, place, sentence)
+
+
+def _of_fault(fault: TimelineEvent, result: Result, series: Series) -> Cause:
+    """A fault as the cause: or the processes that stood still before it, of which it is what others noticed."""
+    injected, standstills = _injected_before(fault, series), _standstills_before(fault, series)
+    if not standstills:
+        return _cause(fault, fault.source, fault.text, result, series, injected)
+    sources = ", ".join(event.source for event in standstills)
+    text = f"{standstills[0].text} ({fault.source}: {fault.text})"
+    return _cause(standstills[0], sources, text, result, series, injected)
 
 
 def _over_all(text: str, result: Result, series: Series, injected: str = "") -> Cause:

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName, Insecure, KeyRing, Settings
@@ -43,6 +42,7 @@ def deploy(
 
     from groundstation.deploy.manifest import parse_targets
     from groundstation.deploy.ssh import DeployRequest, check, deploy_all
+    from shoal.config.experiment import load_experiment
 
     targets = parse_targets(boards)
     loaded = load_experiment(experiment, settings or ())

@@ -6,8 +6,6 @@ from typing import Annotated
 
 import typer
 
-from groundstation.export.foxglove_layout import layout
-from shoal.config.experiment import experiment_path, load_experiment
 from shoal.errors import ConfigError
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName, experiments
 from shoal.runtime.output_files import check_output, replace_text
@@ -39,6 +37,9 @@ def foxglove_layout(
     Examples:  groundstation foxglove layout pool --out layout.json
                groundstation log export runs/pool-20260101-120000 --foxglove --out viewer
     """
+    from groundstation.export.foxglove_layout import layout
+    from shoal.config.experiment import experiment_path, load_experiment
+
     if out is not None:
         check_output(out, [experiment_path(experiment)])
     text = json.dumps(layout(load_experiment(experiment), fleet), indent=1) + "\n"

@@ -20,15 +20,14 @@ from groundstation.mission.state_machine import (
     order_named,
     request_named,
 )
-from shoal.config.formation_shapes import SHAPES
-from shoal.config.scene import FORM_USAGE
-from shoal.messages.messages import Command, CommandKind, Outcome, Reply
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.config.formation_shapes import FORM_USAGE, SHAPES
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Reply
 from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, Settings, finite
 from shoal.system.printable import printable
 
 P = ParamSpec("P")
 LONGEST_WAIT_S = 86_400.0
+INTERRUPTED = 130  # exit code of a command that a person's Ctrl-C ends, as shells have it
 
 Station = Annotated[
     str | None,
@@ -114,13 +113,22 @@ def _tell_station(
     from groundstation import client
 
     patience_s = client.patience_s(command) if wait is None else wait
-    printer = OutcomePrinter(what, as_json)
+    printer, is_heard = OutcomePrinter(what, as_json), False
     try:
         with client.connect(station, fleet, keys, insecure) as bus:
-            reply = client.follow(client.sender(bus), command, client.limit(bus, patience_s), printer.progress)
+            send = client.sender(bus)
+
+            def ask(command: Command) -> Reply:
+                nonlocal is_heard
+                reply = send(command)
+                is_heard = is_heard or not reply.silent
+                return reply
+
+            reply = client.follow(ask, command, client.limit(bus, patience_s), printer.progress)
     except KeyboardInterrupt:
-        typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
-        raise typer.Exit(130) from None
+        silence = "NOT HEARD: the station has not answered, and may not have got it"
+        typer.echo(f"{what}: not waited for; {'the station goes on with it' if is_heard else silence}", err=True)
+        raise typer.Exit(INTERRUPTED) from None
     raise typer.Exit(printer.end(reply, patience_s))
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from groundstation.gate.gate import Gate
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -67,6 +66,7 @@ def replay(
     start_log("groundstation")
     stop = Stop()
     if on_bus:
+        from groundstation.gate.gate import Gate
         from groundstation.logs.bus_replay import chosen, send
         from groundstation.logs.reader import open_log
         from shoal.bus.bus import Bus

@@ -9,8 +9,6 @@ import typer
 
 from groundstation.cli.foxglove import Foxglove, address
 from groundstation.cli.replay import show
-from groundstation.gate.gate import Gate
-from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
@@ -32,6 +30,7 @@ from shoal.runtime.runtime import Stop, run_steps, start_log
 from shoal.system.secret_files import refuse_shared
 
 if TYPE_CHECKING:  # the page's server takes a second to import
+    from shoal.config.experiment import Experiment
     from shoal.runtime.web_access import WebOptions
 
 LONGEST_TOKEN = 10_000  # bytes
@@ -82,9 +81,11 @@ def run(
     Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
                groundstation run pool --auto --dry-run
     """
+    from shoal.config.experiment import load_experiment
+
     loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once
 
-    from groundstation.report.report import write_report
+    from groundstation.gate.gate import Gate
     from groundstation.station import process
     from groundstation.station.discovery import announced
     from shoal.bus.bus import Bus
@@ -119,6 +120,8 @@ def run(
             succeeded = fly(folder, stop)
         if no_report:
             raise typer.Exit(0 if succeeded else 1)
+        from groundstation.report.report import write_report
+
         result = write_report(folder)
         typer.echo(f"report: {folder / 'report.html'} ({result.verdict})")
         offers = ("again", "close") if run_dir is None else ("close",)  # a folder that was named holds one run
@@ -147,7 +150,7 @@ def _token(file: Path) -> str:
     return token
 
 
-def _intent(experiment: Experiment, folder: Path) -> str:
+def _intent(experiment: "Experiment", folder: Path) -> str:
     """Summary of the run that would be flown. Raises ConfigError for one that cannot."""
     from groundstation.logs.recorder import check_room
     from groundstation.planning import planner
@@ -164,6 +167,7 @@ def plan(experiment: ExperimentName, settings: Settings = None) -> None:
     Example:  groundstation plan islands > plan.json
     """
     from groundstation.planning import planner
+    from shoal.config.experiment import load_experiment
 
     loaded = load_experiment(experiment, settings or ())
     trajectories = planner.plan(loaded)

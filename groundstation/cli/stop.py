@@ -5,25 +5,26 @@ line, the environment or the keys. What cannot be used is left out, and named at
 """
 
 import json
+import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from groundstation.cli.mission import HELP, LONGEST_WAIT_S, Station, Wait
-from groundstation.station import discovery
-from groundstation.station.discovery import RunningStation
-from shoal.bus.endpoint import parse_address
+from groundstation.cli.mission import HELP, INTERRUPTED, LONGEST_WAIT_S, Station, Wait
 from shoal.errors import ConfigError
-from shoal.messages.messages import Command, CommandKind, Reply
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Reply
 from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name
 from shoal.system.printable import printable
+
+if TYPE_CHECKING:
+    from groundstation.station.discovery import RunningStation
 
 NAME = "stop"
 COMPLAINTS = "complaints"  # where the command's context keeps what it could not use
@@ -40,8 +41,14 @@ def _seconds(text: str) -> None:
         raise ValueError(f"must be 0 to {LONGEST_WAIT_S:g} seconds")
 
 
+def _address(text: str) -> None:
+    from shoal.bus.endpoint import parse_address
+
+    parse_address(text)
+
+
 CHECKS: dict[str, Callable[[str], Any]] = {
-    "--station": parse_address,
+    "--station": _address,
     "--fleet": fleet_name,
     "--keys": Path,
     "--wait": _seconds,
@@ -95,7 +102,7 @@ class ProgramGroup(TyperGroup):
 class StationStop:
     """A stop on its way to one station."""
 
-    station: RunningStation
+    station: "RunningStation"
     patience_s: float
     keys: Path | None
     insecure: bool
@@ -157,6 +164,13 @@ class StationStop:
 
         return client.verdict(self.reply, self.patience_s) if self.reply is not None else (False, f"NOT HEARD: {self.trouble}")
 
+    @property
+    def interrupted(self) -> str:
+        """Text about a stop that is waited for no longer."""
+        if self.is_heard:
+            return f"{NAME}: not waited for; the station goes on with it"
+        return f"{NAME}: NOT HEARD: interrupted before the station answered; it may not have got it"
+
     def print(self, as_json: bool) -> None:
         """Print the outcome, robot by robot."""
         is_done, text = self.outcome()
@@ -193,7 +207,7 @@ def stop(
     patience_s = client.PATIENCE_S[CommandKind.STOP] if wait is None else wait
     stops: list[StationStop] = []
 
-    def send(stations: Sequence[RunningStation]) -> None:
+    def send(stations: "Sequence[RunningStation]") -> None:
         for one in stations:
             stops.append(StationStop(one, patience_s, keys, insecure))
             stops[-1].begin()
@@ -204,8 +218,12 @@ def stop(
             one.await_end()
             one.print(as_json)
     except KeyboardInterrupt:
-        typer.echo(f"{NAME}: not waited for; the stations go on with it", err=True)
-        raise typer.Exit(130) from None
+        for one in stops:
+            typer.echo(printable(f"station {one.station.name}: {one.interrupted}"), err=True)
+        if not stops:
+            typer.echo(f"{NAME}: NOT SENT: interrupted before that", err=True)
+        sys.stdout.flush()
+        os._exit(INTERRUPTED)  # a thread that still connects would abort an interpreter that ends
     for complaint in dict.fromkeys([*complaints, *(text for one in stops for text in one.complaints)]):
         typer.echo(printable(f"left out: {complaint}"), err=True)
     raise typer.Exit(0 if all(one.outcome()[0] for one in stops) else 1)
@@ -215,11 +233,14 @@ def _send_to_all(
     station: str | None,
     fleet: str | None,
     complaints: list[str],
-    send: Callable[[Sequence[RunningStation]], None],
+    send: "Callable[[Sequence[RunningStation]], None]",
     stops: list[StationStop],
 ) -> None:
     """Stop what was named: a station, the stations of a fleet, or all. Where nobody answers to that name, stop all that run
     here: a stop that reaches nobody is worse than one that reaches too many."""
+    from groundstation.station import discovery
+    from groundstation.station.discovery import RunningStation
+
     here = discovery.running()
     if station is not None:
         named = discovery.named(station)

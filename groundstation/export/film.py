@@ -17,7 +17,6 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from groundstation.logs.reader import LogFile, open_log, read_log
-from groundstation.logs.session_clocks import SessionClocks
 from groundstation.palette import colour as colour_of
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.perception import Camera
@@ -27,6 +26,7 @@ from shoal.messages import topics
 from shoal.messages.camera_coverage import project
 from shoal.messages.codec import DecodeError, decode
 from shoal.messages.messages import Estimate, Mode, Picture, Preview, RobotState, StationHeartbeat, Video
+from shoal.messages.session_clocks import SessionClocks
 from shoal.runtime.output_files import replacing
 
 CLOCK_HZ = 90_000  # of the film's stamps

@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from groundstation.analysis.alignment import zero_ns
 from groundstation.formation_clock import clock_reading
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
-from groundstation.logs.session_clocks import SessionClocks
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import DecodeError, decode
 from shoal.messages.labels import labels
 from shoal.messages.schema import nested_message, present_type
+from shoal.messages.session_clocks import SessionClocks
 from shoal.messages.topics import Topic
 from shoal.runtime.output_files import RUN, check_output, replacing_together
 

@@ -24,10 +24,10 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.writer import MCAP0_MAGIC
 
 from groundstation.logs.recorder import END_METADATA, EXPERIMENT_NAME, REPAIR_METADATA, RUN_METADATA
-from groundstation.logs.session_clocks import SessionClocks
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
+from shoal.messages.session_clocks import SessionClocks
 from shoal.messages.topics import Topic
 from shoal.runtime import mcap_records as log_records
 from shoal.runtime.mcap_records import (
@@ -154,7 +154,7 @@ class Channels(dict[int, tuple[Topic, int, int]]):
     def take(self, record: McapRecord) -> LogMessage | None:
         """Take in a record. Returns the message that it is, if it is one of ours."""
         if isinstance(record, Channel):
-            topic_and_robot, word = key_topic(record.topic), record.metadata.get("session", "0")
+            topic_and_robot, word = key_topic(record.topic), record.metadata.get(log_records.SESSION, "0")
             if topic_and_robot is not None and re.fullmatch("[0-9a-fA-F]{1,16}", word):
                 self[record.id] = (*topic_and_robot, int(word, 16))
         elif isinstance(record, Message) and record.channel_id in self:

@@ -38,6 +38,7 @@ from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.messages.codec import Header, protobuf_class
 from shoal.messages.topics import STATE, Qos, Role, Topic
+from shoal.runtime.mcap_records import SESSION
 from shoal.runtime.output_files import check_named, disk_free, sync_folder
 from shoal.runtime.version import code
 
@@ -284,7 +285,7 @@ class Recorder:
             self._schemas[cls] = self._writer.register_schema(name, "protobuf", files)
             Schema(self._schemas[cls], files, "protobuf", name).write(self._declarations)
         if (key, session) not in self._channels:
-            schema, metadata = self._schemas[cls], {"session": f"{session:x}", "publisher": topic.publisher}
+            schema, metadata = self._schemas[cls], {SESSION: f"{session:x}", "publisher": topic.publisher}
             self._channels[key, session] = self._writer.register_channel(key, "protobuf", schema, metadata)
             Channel(
                 self._channels[key, session], topic=key, message_encoding="protobuf", metadata=metadata, schema_id=schema

@@ -27,6 +27,10 @@ class RetryTimer:
         """Make every robot due at once."""
         self._sent_ns.clear()
 
+    def is_begun(self, robot: int) -> bool:
+        """True if a robot was sent something since the last reset."""
+        return robot in self._sent_ns
+
     def due(self, robots: Iterable[int], now_ns: int) -> list[int]:
         """Robots that are due now; counts them as sent to."""
         due_robots = [r for r in robots if r not in self._sent_ns or now_ns - self._sent_ns[r] >= RETRY_S * 1e9]
@@ -45,6 +49,10 @@ class CommandDispatcher:
     def reset(self) -> None:
         """Begin another mission state: every robot is due at once."""
         self._timer.reset()
+
+    def has_sent(self, robot: int) -> bool:
+        """True if a robot was sent a command since the last reset."""
+        return self._timer.is_begun(robot)
 
     def on_results(self, results: Sequence[CommandResult], now_ns: int) -> str:
         """Take replies in. Returns the last refusal with its reason; empty if there is none."""

@@ -26,7 +26,7 @@ from groundstation.mission.objections import (
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanManager, PlanRequest
 from groundstation.mission.progress_governor import ProgressGovernor
-from groundstation.mission.roster import Leader, Roster
+from groundstation.mission.roster import LED, Leader, Roster
 from groundstation.mission.state_machine import (
     AT_REST,
     COMMITTED,
@@ -194,7 +194,7 @@ class Mission:
         elif order is CommandKind.DISARM:
             if self._run.ended_by is MissionEvent.ALL_CONFIRMED:
                 self._run.ended_by = MissionEvent.DISARMED_CANCELLED
-            self.reason = f"a person asked for DISARM when {before.name}"
+            self.reason = f"a person asked for disarm while {before.value}"
         if order is CommandKind.RESUME:
             self._replan_if_needed(fleet, now_ns)
         if order is CommandKind.GO:
@@ -240,7 +240,7 @@ class Mission:
         self._needs_operator = True
         self.roster.led_by[robot] = Leader.PERSON
         if self.takes_out(order) and robot not in self.roster.lost:
-            self.roster.mark_lost(robot, "led by a person")
+            self.roster.mark_lost(robot, LED)
 
     def note_water(self, robot: int, is_out: bool) -> None:
         """Take note that a robot is out of the water, or back in it. Somebody's hands are in the water: an automatic mission
@@ -283,8 +283,9 @@ class Mission:
 
     def _prepare_return(self, fleet: Fleet) -> None:
         if self.state in AT_REST:
+            began_ns = self.began_ns
             self._begin_run()
-            self._run.homeward = True
+            self._run.homeward, self.began_ns = True, began_ns  # the way home belongs to the flight before, as in the report
         for robot in self.roster.active:
             why = unfit_to_return(self._context(fleet), robot)
             if why:
@@ -455,7 +456,7 @@ class Mission:
         contact = self.plans.first_contact(fleet, now_ns)  # takes a millisecond: not before the other checks
         if contact:
             event = MissionEvent.TRANSFER_BLOCKED if segment.is_separate(progress_s) else MissionEvent.OBSTACLE
-            return event, f"something lies {contact}"
+            return event, contact
         if self.state is MissionState.RETURNING:
             return None
         slowed = self.governor.slowed

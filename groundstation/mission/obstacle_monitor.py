@@ -1,6 +1,6 @@
 """Obstacles in the pool, and the first place at which flying robots would touch one. Pure."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,6 +42,11 @@ def obstacle_set(news: Obstacles, since_s: float, safety: Safety) -> ObstacleSet
     return ObstacleSet(tuple(int(n) for n, *_ in discs), np.array([disc for _, *disc in discs]).reshape(-1, 3))
 
 
+def located(lost: Mapping[int, RobotView]) -> tuple[int, ...]:
+    """Those of the lost robots that have a disc, in the order of their discs."""
+    return tuple(robot for robot, view in lost.items() if view.is_located)
+
+
 class ObstacleMonitor:
     """Remembers since when each obstacle has been seen. Discs are (k, 3: x, y, radius) in m."""
 
@@ -69,7 +74,7 @@ class ObstacleMonitor:
         robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.is_located]
         return np.vstack([self._discs(now_ns) if obstacles else NO_OBSTACLES, np.array(robots).reshape(-1, 3)])
 
-    def first_contact(self, segment: PlanSegment, progress_s: float, lost: Iterable[RobotView], now_ns: int | None) -> str:
+    def first_contact(self, segment: PlanSegment, progress_s: float, lost: Mapping[int, RobotView], now_ns: int | None) -> str:
         """Text with the first place at which a robot, `progress_s` along a segment, would touch an obstacle.
 
         Empty if there is none, or if the path is not changed for it: in formation only paths of some kinds can be replanned
@@ -78,8 +83,8 @@ class ObstacleMonitor:
         detours, separate = self.flown.mission.detours, segment.is_separate(progress_s)
         if not separate and not (detours and can_replan(self.flown)):
             return ""
-        obstacles = self.discs_to_avoid(lost, now_ns, room_m=0.0, obstacles=detours)
-        return first_contact(self.flown, segment, progress_s, progress_s + AHEAD_S, obstacles)
+        obstacles = self.discs_to_avoid(lost.values(), now_ns, room_m=0.0, obstacles=detours)
+        return first_contact(self.flown, segment, progress_s, progress_s + AHEAD_S, obstacles, located(lost))
 
     def _discs(self, now_ns: int | None) -> Array:
         """Discs of the obstacles that are there: with `now_ns` only those seen for SURE_S by then."""

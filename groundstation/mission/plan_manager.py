@@ -9,11 +9,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from groundstation.mission.lap_statistics import FlownLaps
-from groundstation.mission.obstacle_monitor import ObstacleMonitor
+from groundstation.mission.obstacle_monitor import ObstacleMonitor, located
 from groundstation.mission.roster import Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
-from groundstation.planning.feasibility import PlanError
-from groundstation.planning.prioritized_planning import OutOfTime, never
+from groundstation.planning.feasibility import OutOfTime, PlanError, never
 from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import plan_regroup, plan_return
 from groundstation.planning.segment import PlanSegment, ceil_to_period, first_contact, first_segment
@@ -38,9 +37,9 @@ class FlownPath:
     experiment: Experiment
     segment: PlanSegment | None = None  # from the path's beginning, without the ways into the places; None: not planned yet
 
-    def plan(self) -> PlanSegment:
+    def plan(self, out_of_time: OutOfTime = never) -> PlanSegment:
         """Segment from the path's beginning. Raises PlanError."""
-        self.segment = first_segment(self.experiment) if self.segment is None else self.segment
+        self.segment = first_segment(self.experiment, out_of_time) if self.segment is None else self.segment
         return self.segment
 
 
@@ -185,12 +184,13 @@ class PlanManager:
     def form_plan(self, form: str, begin_s: float, fleet: Fleet, now_ns: int) -> Callable[[], PlanSegment]:
         """Function that plans another form from `begin_s` on. It raises PlanError."""
         experiment, segment, obstacles = self.flown, self.segment, self.discs_to_avoid(fleet, now_ns)
+        lost = located(self._lost(fleet))
 
         def make() -> PlanSegment:
             reshaped = reshape(experiment, segment, begin_s, read_form(form, begin_s))
-            contact = first_contact(experiment, reshaped, begin_s, reshaped.end_s, obstacles)
+            contact = first_contact(experiment, reshaped, begin_s, reshaped.end_s, obstacles, lost)
             if contact:
-                raise PlanError(f"something lies {contact}")
+                raise PlanError(contact)
             return reshaped
 
         return make
@@ -228,7 +228,7 @@ class PlanManager:
         def plan(fleet: Fleet, begin_s: float) -> PlanMaker:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
             flown = flight.experiment
-            return lambda late: plan_regroup(flown, flight.plan(), begin_s, 0.0, rests, slots, obstacles, late)
+            return lambda late: plan_regroup(flown, flight.plan(late), begin_s, 0.0, rests, slots, obstacles, late)
 
         return plan
 
@@ -246,8 +246,9 @@ class PlanManager:
 
         def make(out_of_time: OutOfTime) -> PlanSegment:
             if flown is None:
-                flight.segment = in_form(flight.experiment, present.plan(), 0.0, read_form(form, 0.0)[0])
-            return plan_regroup(flight.experiment, flight.plan(), 0.0, 0.0, rests, slots, obstacles, out_of_time)
+                flight.segment = in_form(flight.experiment, present.plan(out_of_time), 0.0, read_form(form, 0.0)[0])
+            planned = flight.plan(out_of_time)
+            return plan_regroup(flight.experiment, planned, 0.0, 0.0, rests, slots, obstacles, out_of_time)
 
         return make, flight
 
@@ -255,12 +256,12 @@ class PlanManager:
 
     def discs_to_avoid(self, fleet: Fleet, now_ns: int | None = None) -> Array:
         """Obstacles and lost robots, (k, 3: x, y, radius) in m; see ObstacleMonitor."""
-        return self.monitor.discs_to_avoid(self._lost(fleet), now_ns)
+        return self.monitor.discs_to_avoid(self._lost(fleet).values(), now_ns)
 
     def first_contact(self, fleet: Fleet, now_ns: int | None = None) -> str:
         """Text with the place at which a robot would touch an obstacle; empty if nowhere."""
         segment = replace(self.segment, trajectories=self._roster.trajectories(self.segment))
         return self.monitor.first_contact(segment, self.progress_s, self._lost(fleet), now_ns)
 
-    def _lost(self, fleet: Fleet) -> list[RobotView]:
-        return [fleet[r] for r in self._roster.lost if r not in self._roster.out]
+    def _lost(self, fleet: Fleet) -> dict[int, RobotView]:
+        return {r: fleet[r] for r in self._roster.lost if r not in self._roster.out}

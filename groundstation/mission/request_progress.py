@@ -24,8 +24,7 @@ from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState, command_name
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
-from shoal.messages.messages import CommandKind, Mode, Outcome, Progress
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, CommandKind, Mode, Outcome, Progress
 
 # Outcomes of requests that are over, besides one of each robot: a STOP ends the requests of all robots at once. A terminal
 # queries several times a second until its own is over.

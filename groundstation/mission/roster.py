@@ -18,7 +18,8 @@ class Leader(Enum):
     PERSON = "a person"
 
 
-TAKEN_OUT = "out of the water"
+TAKEN_OUT, PUT_BACK, LED = "out of the water", "was out of the water", "led by a person"
+BY_PEOPLE = frozenset({TAKEN_OUT, PUT_BACK, LED})  # why the formation flies without a robot, and nothing is wrong
 
 
 class Roster:
@@ -69,7 +70,7 @@ class Roster:
     def put_back(self, robot: int, at_rest: bool) -> None:
         """Count on a robot that is in the water again: at once while all are at rest; else it may rejoin."""
         self.out -= {robot}
-        self.lost[robot] = "was out of the water"
+        self.lost[robot] = PUT_BACK
         if at_rest:
             del self.lost[robot]
 
@@ -80,6 +81,11 @@ class Roster:
         for robot in robots:
             del self.lost[robot]
             self.slots[robot] = next(free)
+
+    @property
+    def trouble(self) -> bool:
+        """True if a robot is lost for another reason than a person's request."""
+        return any(why not in BY_PEOPLE for why in self.lost.values())
 
     @property
     def led_by_people(self) -> frozenset[int]:

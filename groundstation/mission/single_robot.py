@@ -265,6 +265,8 @@ class SingleRobotControl:
         if task.order is CommandKind.DRIVE and task.velocity is not None:
             return False
         order = CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order
+        if order is CommandKind.DISARM and not self._dispatchers[robot].has_sent(robot):
+            return False  # it may be disarmed and have an ARM on its way, which this one follows
         return view.state_age_s * 1e9 < now_ns - task.since_ns and view.mode in CONFIRMS[order]  # however late it came
 
     def _advance(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:

@@ -7,8 +7,7 @@ groundstation/mission/mission.py follows this table and changes state in no othe
 from dataclasses import dataclass
 from enum import Enum
 
-from shoal.messages.messages import Command, CommandKind, Outcome, Progress
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Progress
 
 READY = "fleet ready"  # WAITING, with nothing left to wait for
 

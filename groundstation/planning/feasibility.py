@@ -1,6 +1,6 @@
 """Feasibility of a plan: limits of the robots, walls, islands, distances between robots. Pure."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,8 +17,22 @@ PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: the tracking er
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
 
 
+OutOfTime = Callable[[], bool]  # True when the caller waits no longer for a plan
+
+
 class PlanError(ConfigError):
     """A plan that must not be flown. One line per problem: robot, time, place, by how much."""
+
+
+def never() -> bool:
+    """No limit of time: of a run that has to be the same each time."""
+    return False
+
+
+def check_time(out_of_time: OutOfTime) -> None:
+    """Raise PlanError once the caller waits no longer. To be called between steps that take a tenth of a second at most."""
+    if out_of_time():
+        raise PlanError("none was found in time")
 
 
 @dataclass(frozen=True)
@@ -67,10 +81,15 @@ def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], coun
 
 
 def robot_problems(
-    experiment: Experiment, motions: Mapping[int, NodeMotion], count: int, begin_s: float = 0.0
+    experiment: Experiment,
+    motions: Mapping[int, NodeMotion],
+    count: int,
+    begin_s: float = 0.0,
+    out_of_time: OutOfTime = never,
 ) -> Iterator[str]:
     """Lines for limits that robots would exceed in their first `count` samples, the first of them at `begin_s`: one a kind."""
     for robot, motion in motions.items():
+        check_time(out_of_time)
         eta = motion.eta[:count]
         for what, unit, _, limit, values in experiment.vehicle.demands(motion.velocity, motion.acceleration):
             worst = _worst(values[:count], limit)
@@ -85,11 +104,16 @@ def robot_problems(
 
 
 def pair_problems(
-    experiment: Experiment, motions: Mapping[int, NodeMotion], count: int, begin_s: float = 0.0
+    experiment: Experiment,
+    motions: Mapping[int, NodeMotion],
+    count: int,
+    begin_s: float = 0.0,
+    out_of_time: OutOfTime = never,
 ) -> Iterator[str]:
     """Lines for pairs of robots that come too near; on different paths only the end counts."""
     closest_m = 2.0 * experiment.safety.radius_m
     for a, b in combinations(sorted(motions), 2):
+        check_time(out_of_time)
         together = experiment.path_of(experiment.robot(a)) == experiment.path_of(experiment.robot(b))
         counts = slice(count) if together else slice(count - 1, count)
         apart = np.full(count, np.inf)

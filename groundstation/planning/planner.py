@@ -13,8 +13,11 @@ import numpy as np
 
 from groundstation.planning.feasibility import (
     TOLERANCE,
+    OutOfTime,
     PlanError,
+    check_time,
     figures,
+    never,
     outside,
     pair_problems,
     place,
@@ -49,22 +52,22 @@ def plan(experiment: Experiment) -> dict[int, Trajectory]:
     return plan_fleet(experiment).trajectories
 
 
-def plan_fleet(experiment: Experiment) -> FleetPlan:
+def plan_fleet(experiment: Experiment, out_of_time: OutOfTime = never) -> FleetPlan:
     """Each robot's trajectory: samples every controller period from 0 to the run's end, and a controller's horizon more.
     Raises PlanError with the problems of `draft`."""
-    drafted, problems = draft(experiment)
+    drafted, problems = draft(experiment, out_of_time)
     if problems:
         raise PlanError("\n".join(problems))
     return drafted
 
 
-def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
+def draft(experiment: Experiment, out_of_time: OutOfTime = never) -> tuple[FleetPlan, list[str]]:
     """A plan, and every reason for which it must not be flown.
 
     A reason is that a robot would exceed its speed, heave, yaw-rate or thrust limits (with `path.slow` only if slowing
     down does not help), touch a wall, floor or surface, or come closer than 2 R (36) to another on the same path. Those on
     different paths need to be apart at the end only: in flight they give way to one another. Raises PlanError where there is
-    no such path at all, or it ends before the run.
+    no such path at all, it ends before the run, or `out_of_time`.
     """
     period_s = experiment.controller.period_s
     count = round(experiment.duration_s / period_s) + 1
@@ -78,11 +81,14 @@ def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
     for k, path in enumerate(paths):
         if path not in paths[:k]:
             group = [robot for robot, flies in zip(experiment.robots, paths, strict=True) if flies == path]
-            group_motions, middle = _group_motions(experiment, path, group, samples)
+            group_motions, middle = _group_motions(experiment, path, group, samples, out_of_time)
             motions.update(group_motions)
             centre = middle if centre is None or path == experiment.path else centre
     motions = {robot: motions[robot] for robot in experiment.robot_ids}
-    problems = [*robot_problems(experiment, motions, count), *pair_problems(experiment, motions, count)]
+    problems = [
+        *robot_problems(experiment, motions, count, out_of_time=out_of_time),
+        *pair_problems(experiment, motions, count, out_of_time=out_of_time),
+    ]
     assert centre is not None  # there is at least one robot
     trajectories = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
     return FleetPlan(trajectories, trajectory(centre, period_s)), problems
@@ -126,7 +132,7 @@ def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) 
 
 
 def _group_motions(
-    experiment: Experiment, spec: PathSpec, group: Sequence[RobotConfig], samples: int
+    experiment: Experiment, spec: PathSpec, group: Sequence[RobotConfig], samples: int, out_of_time: OutOfTime
 ) -> tuple[dict[int, NodeMotion], NodeMotion]:
     """Motion of the robots on a path, and of its centre, at `samples` control periods from 0 on; slowed down where the robots
     could not follow."""
@@ -134,10 +140,11 @@ def _group_motions(
     time_s = period_s * np.arange(samples, dtype=np.float64)
     ids = [robot.id for robot in group]
     nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s, ids)
-    path = centre_path(experiment, spec, group, nodes)
+    path = centre_path(experiment, spec, group, nodes, out_of_time)
     if spec.slow:
 
         def _excess(slower: Path) -> Array:
+            check_time(out_of_time)
             return required_slowdown(experiment, node_motions(experiment, slower.at(time_s), group, nodes))
 
         path = scale_time(path, _excess, samples, period_s)
@@ -159,13 +166,19 @@ def _path_too_short(
     return "\n".join([*problems, f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s"])
 
 
-def centre_path(experiment: Experiment, spec: PathSpec, group: Sequence[RobotConfig], nodes: Sequence[SlotOffset]) -> Path:
+def centre_path(
+    experiment: Experiment,
+    spec: PathSpec,
+    group: Sequence[RobotConfig],
+    nodes: Sequence[SlotOffset],
+    out_of_time: OutOfTime = never,
+) -> Path:
     """Path of the centre; of a route the first candidate on which no node touches anything."""
     time_s = np.arange(len(nodes[0].place_m), dtype=np.float64) * experiment.controller.period_s
     try:
         if not isinstance(spec, Route):
             return make_path(spec)
-        for waypoints in candidate_routes(experiment, spec, nodes):
+        for waypoints in candidate_routes(experiment, spec, nodes, out_of_time):
             path = make_path(waypoints)
             motions = node_motions(experiment, path.at(time_s), group, nodes).values()
             beyond = (excess.max() for m in motions for excess in outside(experiment, m.eta[:, :3]).values())

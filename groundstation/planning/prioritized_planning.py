@@ -5,11 +5,11 @@ leaves as early as it stays clear of those planned before it, and of those not y
 robots works (two stand on one another's goals), one first makes room.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from groundstation.planning.feasibility import PlanError, beyond_picture, place
+from groundstation.planning.feasibility import OutOfTime, PlanError, beyond_picture, never, place
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.route_planner import NoRoute
 from groundstation.planning.transfer import FreeSpace, Transfer, add_heading, free_space, is_free, join, pad, plan_transfer
@@ -27,13 +27,6 @@ ASIDE_WAYS = 12
 MAKING_ROOM = 2  # robots that do so at most
 MOST_TRIES = 1500  # orders of robots in all; a dense fleet has more
 
-OutOfTime = Callable[[], bool]  # True when the caller waits no longer for a plan
-
-
-def never() -> bool:
-    """No limit of time: of a run that has to be the same each time."""
-    return False
-
 
 class _Exhausted(Exception):
     """No more tries, or no more time. The text is the reason."""
@@ -43,11 +36,11 @@ class _Tries:
     """Tries that are left. Time is asked for before each: a try with twenty robots takes a tenth of a second."""
 
     def __init__(self, out_of_time: OutOfTime) -> None:
-        self._left, self._out_of_time = MOST_TRIES, out_of_time
+        self._left, self.out_of_time = MOST_TRIES, out_of_time
 
     def spend(self) -> None:
         """Count a try. Raises _Exhausted."""
-        if self._out_of_time():
+        if self.out_of_time():
             raise _Exhausted(f"in time, in {MOST_TRIES - self._left} tries")
         if self._left == 0:
             raise _Exhausted(f"in {MOST_TRIES} tries")
@@ -160,7 +153,7 @@ def _plan_in_order(
     plans: dict[int, Transfer] = {}
     for robot in order:
         waiting = {r: starts[r] for r in order if r not in plans and r != robot}
-        plans[robot] = _earliest(experiment, around, robot, starts, goals, plans, waiting)
+        plans[robot] = _earliest(experiment, around, robot, starts, goals, plans, waiting, tries.out_of_time)
     longest = max(map(len, plans.values()))
     return {robot: pad(plans[robot], 0, longest) for robot in starts}
 
@@ -173,6 +166,7 @@ def _earliest(
     goals: Mapping[int, Array],
     plans: Mapping[int, Transfer],
     waiting: Mapping[int, Array],
+    out_of_time: OutOfTime,
 ) -> Transfer:
     """Earliest transfer of a robot that is clear of all others: straight there, or around robots that rest."""
     reasons = []
@@ -180,7 +174,7 @@ def _earliest(
     for detour in (False, True):
         parked = [*waiting.values(), *(goals[r] for r in plans)] if detour else []
         try:
-            transfer = plan_transfer(experiment, around, starts[robot], goals[robot], parked)
+            transfer = plan_transfer(experiment, around, starts[robot], goals[robot], parked, out_of_time)
         except NoRoute as error:
             reasons.append(f"robot {robot}: {error}")
             continue

@@ -13,10 +13,17 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import PlanError, pair_problems, required_slowdown, robot_problems
+from groundstation.planning.feasibility import (
+    OutOfTime,
+    PlanError,
+    check_time,
+    never,
+    pair_problems,
+    required_slowdown,
+    robot_problems,
+)
 from groundstation.planning.formation import NodeMotion, node_motion, own_heading, quintic_blend, slot_offsets
 from groundstation.planning.paths import Path
-from groundstation.planning.prioritized_planning import OutOfTime, never
 from groundstation.planning.segment import PlanSegment, ceil_to_period, sample, with_forms
 from groundstation.planning.shift import move_past
 from groundstation.planning.time_scaling import scale_time
@@ -76,8 +83,7 @@ def replan(
         ways = [past, rerouted] if straight else [rerouted, past]
     for share in TIGHTER:
         for way in ways:
-            if out_of_time():
-                raise PlanError("none was found in time")
+            check_time(out_of_time)
             try:
                 return way(share * experiment.mission.detour_clear_m)
             except PlanError as error:
@@ -129,11 +135,10 @@ def _rerouted(
     samples = round((max(remaining, 0.0) + longer * length_m / spec.speed_mps) / period_s) + planner.horizon(experiment)
     time_s = period_s * np.arange(samples, dtype=np.float64)
     nodes = slot_offsets(experiment.nodes_m(), formation.changes, begin_s + time_s, experiment.robot_ids)
-    path = planner.centre_path(experiment, route, experiment.robots, nodes)
+    path = planner.centre_path(experiment, route, experiment.robots, nodes, out_of_time)
 
     def excess(slower: Path) -> Array:
-        if out_of_time():
-            raise PlanError("none was found in time")
+        check_time(out_of_time)
         return required_slowdown(experiment, planner.node_motions(experiment, slower.at(time_s), experiment.robots, nodes))
 
     path = scale_time(path, excess, samples, period_s) if route.slow else path

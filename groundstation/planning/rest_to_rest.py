@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import PlanError
+from groundstation.planning.feasibility import OutOfTime, PlanError, never
 from groundstation.planning.formation import NodeMotion
-from groundstation.planning.prioritized_planning import OutOfTime, never, plan_transfers
+from groundstation.planning.prioritized_planning import plan_transfers
 from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, sample
 from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_profile, turn_samples
 from shoal.config.experiment import Experiment
@@ -84,7 +84,7 @@ def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], aw
         apart = sample(segment.trajectories[slot], time_s).eta[:, None, :2] - away[:, :2]
         free &= np.all(np.hypot(*apart.transpose(2, 0, 1)) > away[:, 2] + SAME_M, axis=1)
     if not free.any():
-        raise PlanError("something lies in the formation's places to the end of the path")
+        raise PlanError("something, or a robot that is not with the formation, lies in its places to the end of the path")
     return float(time_s[int(np.argmax(free))])
 
 

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from groundstation.planning.feasibility import OutOfTime, check_time, never
 from groundstation.planning.formation import SlotOffset
 from groundstation.planning.paths import MOST_POINTS, curve_through
 from shoal.config.experiment import Experiment
@@ -34,23 +35,26 @@ class NoRoute(ValueError):
     """No route exists, or an end of it is not free."""
 
 
-def candidate_routes(experiment: Experiment, route: Route, nodes: Sequence[SlotOffset]) -> Iterator[Waypoints]:
+def candidate_routes(
+    experiment: Experiment, route: Route, nodes: Sequence[SlotOffset], out_of_time: OutOfTime = never
+) -> Iterator[Waypoints]:
     """Routes to try, narrow ones first, each as waypoints of a spline; the caller takes the first that is clear.
 
     A formation that keeps its form and orientation has one route. One that turns or changes is taken for wider and wider
-    discs, because nodes swing outside the path in bends. Raises NoRoute if there is no (further) route.
+    discs, because nodes swing outside the path in bends. Raises NoRoute if there is no (further) route, and PlanError when
+    `out_of_time`.
     """
     room_m = experiment.vehicle.radius_m + route.clearance_m
     places = np.concatenate([node.place_m[:, :2] for node in nodes])
     if experiment.formation.mode == "translate" and not experiment.formation.changes:
-        yield _waypoints(experiment, route, room_m, np.array([node.place_m[0, :2] for node in nodes]), 0.0)
+        yield _waypoints(experiment, route, room_m, np.array([node.place_m[0, :2] for node in nodes]), 0.0, out_of_time)
         return
     whole_m = float(np.hypot(*places.T).max())
     across_m = float(np.abs(places[:, 0]).max()) if experiment.formation.mode == "rotate" else whole_m
     has_route = False
     for wide_m in np.unique(np.linspace(across_m, whole_m, WIDTHS)).tolist():
         try:
-            yield _waypoints(experiment, route, room_m, np.zeros((1, 2)), wide_m)
+            yield _waypoints(experiment, route, room_m, np.zeros((1, 2)), wide_m, out_of_time)
         except NoRoute as error:
             if has_route:
                 raise NoRoute(
@@ -60,7 +64,9 @@ def candidate_routes(experiment: Experiment, route: Route, nodes: Sequence[SlotO
         has_route = True
 
 
-def _waypoints(experiment: Experiment, route: Route, room_m: float, at_m: Array, wide_m: float) -> Waypoints:
+def _waypoints(
+    experiment: Experiment, route: Route, room_m: float, at_m: Array, wide_m: float, out_of_time: OutOfTime
+) -> Waypoints:
     """Route for nodes `at_m` (n, 2) around the centre, each a disc wider than hull and clearance by `wide_m`."""
     islands = [(np.array(island.position_m), island.radius_m + room_m + wide_m) for island in experiment.islands]
     discs = np.array([(*(place - at), radius) for place, radius in islands for at in at_m]).reshape(-1, 3)
@@ -68,7 +74,7 @@ def _waypoints(experiment: Experiment, route: Route, room_m: float, at_m: Array,
     reach = np.abs(at_m).max(axis=0) + room_m + wide_m
     walls = experiment.pool.walls
     half_m = (length / 2.0 - float(reach[0]), width / 2.0 - float(reach[1])) if walls else (math.inf, math.inf)
-    points = find_route(route.via_m, discs, half_m, route.smooth_m)
+    points = find_route(route.via_m, discs, half_m, route.smooth_m, out_of_time)
     return Waypoints(
         kind="waypoints",
         points_m=tuple((x, y) for x, y in points.tolist()),
@@ -80,12 +86,16 @@ def _waypoints(experiment: Experiment, route: Route, room_m: float, at_m: Array,
 
 
 def find_route(
-    via_m: Sequence[tuple[float, float]], discs: Array, half_m: tuple[float, float], smooth_m: float = 0.5
+    via_m: Sequence[tuple[float, float]],
+    discs: Array,
+    half_m: tuple[float, float],
+    smooth_m: float = 0.5,
+    out_of_time: OutOfTime = never,
 ) -> Array:
     """Waypoints (n, 2) of a smooth route through `via_m`, clear of `discs` (k, 3: x, y, radius) and inside +-`half_m`, in m.
 
     Corners, also those at `via_m`, are spread over about `smooth_m`, less where there is no room. Raises NoRoute with the
-    reason.
+    reason, and PlanError when `out_of_time`.
     """
     ends = np.array(via_m, dtype=np.float64)
     for place in ends:
@@ -94,25 +104,27 @@ def find_route(
     for share in SMOOTHER:
         for spare_m in SPARE_M:
             if spare_m not in lines:
-                lines[spare_m] = _line(ends, discs, spare_m, half_m)
+                lines[spare_m] = _line(ends, discs, spare_m, half_m, out_of_time)
+            check_time(out_of_time)
             points = _smoothed(lines[spare_m], share * smooth_m)
             if _clear(points, discs, half_m):
                 return points
     raise NoRoute("there is a way, but it bends too sharply for a smooth path; move the waypoints or leave wider gaps")
 
 
-def _line(ends: Array, discs: Array, spare_m: float, half_m: tuple[float, float]) -> Array:
+def _line(ends: Array, discs: Array, spare_m: float, half_m: tuple[float, float], out_of_time: OutOfTime) -> Array:
     """Corners (n, 2) of the shortest route, `spare_m` further from the discs where there is room."""
     wide = [_but_free(discs, spare_m, a, b) for a, b in pairwise(ends)]
     try:
-        segments = [shortest(a, b, around, half_m) for (a, b), around in zip(pairwise(ends), wide, strict=True)]
+        segments = [shortest(a, b, d, half_m, out_of_time) for (a, b), d in zip(pairwise(ends), wide, strict=True)]
     except NoRoute:
-        segments = [shortest(a, b, discs, half_m) for a, b in pairwise(ends)]
+        segments = [shortest(a, b, discs, half_m, out_of_time) for a, b in pairwise(ends)]
     return np.concatenate([segments[0], *[segment[1:] for segment in segments[1:]]])
 
 
-def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float]) -> Array:
-    """Corners (n, 2) of the shortest route from `start` to `goal` along polygons around `discs`. Raises NoRoute."""
+def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float], out_of_time: OutOfTime = never) -> Array:
+    """Corners (n, 2) of the shortest route from `start` to `goal` along polygons around `discs`. Raises NoRoute, and PlanError
+    when `out_of_time`."""
     corners = _corners(discs, half_m)
     points = np.vstack([start, goal, corners])
     ahead = np.hypot(*(points - goal).T)
@@ -124,6 +136,7 @@ def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float
         if is_done[here]:
             continue
         is_done[here] = True
+        check_time(out_of_time)
         if here == 1:
             order = [1]
             while order[-1]:

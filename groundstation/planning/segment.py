@@ -6,12 +6,13 @@ runs along the trajectories; it never goes back.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from groundstation.planning import planner
+from groundstation.planning.feasibility import OutOfTime, never
 from groundstation.planning.formation import NodeMotion
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Change
@@ -50,9 +51,9 @@ def with_forms(experiment: Experiment, segment: PlanSegment) -> Experiment:
     return experiment.model_copy(update={"formation": formation})
 
 
-def first_segment(experiment: Experiment) -> PlanSegment:
+def first_segment(experiment: Experiment, out_of_time: OutOfTime = never) -> PlanSegment:
     """Segment of a run as planned before it."""
-    fleet = planner.plan_fleet(experiment)
+    fleet = planner.plan_fleet(experiment, out_of_time)
     return PlanSegment(fleet.trajectories, fleet.centre, experiment.duration_s)
 
 
@@ -91,9 +92,16 @@ def ceil_to_period(time_s: float, period_s: float) -> float:
     return math.ceil(time_s / period_s - 1e-9) * period_s
 
 
-def first_contact(experiment: Experiment, segment: PlanSegment, from_s: float, until_s: float, obstacles: Array) -> str:
-    """Text with place, robot and time of the first contact: a robot nearer than safety.radius_m to an obstacle (k, 3); empty
-    if there is none.
+def first_contact(
+    experiment: Experiment,
+    segment: PlanSegment,
+    from_s: float,
+    until_s: float,
+    obstacles: Array,
+    lost: Sequence[int] = (),
+) -> str:
+    """Text with cause, place, robot and time of the first contact: a robot nearer than safety.radius_m to an obstacle (k, 3);
+    empty if there is none. The last obstacles are the `lost` robots.
 
     Transfers may begin and end beside obstacles (groundstation/planning/transfer.py): there only a robot counts that comes
     nearer than at both ends of its transfer.
@@ -113,10 +121,12 @@ def first_contact(experiment: Experiment, segment: PlanSegment, from_s: float, u
         meets = np.flatnonzero(short.max(axis=1, initial=-np.inf) > 0.0)
         if len(meets):
             first = int(meets[0])
-            x, y, _ = obstacles[int(np.argmax(short[first]))]
-            contacts.append(
-                (first, f"at ({x:z.2f}, {y:z.2f}) m, on the path of robot {slot}, in {first * segment.centre.period_s:.1f} s")
-            )
+            nearest = int(np.argmax(short[first]))
+            x, y, _ = obstacles[nearest]
+            robot = nearest - (len(obstacles) - len(lost))
+            cause = f"robot {lost[robot]}" if robot >= 0 else "something"
+            in_s = first * segment.centre.period_s
+            contacts.append((first, f"{cause} lies at ({x:z.2f}, {y:z.2f}) m, on the path of robot {slot}, in {in_s:.1f} s"))
     return min(contacts)[1] if contacts else ""
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.planning.feasibility import required_slowdown
+from groundstation.planning.feasibility import OutOfTime, never, required_slowdown
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.paths import SplinePath
 from groundstation.planning.route_planner import NoRoute, find_route
@@ -60,8 +60,16 @@ def is_free(place: Array, around: FreeSpace) -> bool:
     return inside and bool(np.all(np.hypot(*(around.discs[:, :2] - place).T) > around.discs[:, 2]))
 
 
-def plan_transfer(experiment: Experiment, around: FreeSpace, start: Array, goal: Array, parked: Sequence[Array]) -> Transfer:
-    """Plan the shortest transfer between two poses (4,), around `parked` robots. Raises NoRoute."""
+def plan_transfer(
+    experiment: Experiment,
+    around: FreeSpace,
+    start: Array,
+    goal: Array,
+    parked: Sequence[Array],
+    out_of_time: OutOfTime = never,
+) -> Transfer:
+    """Plan the shortest transfer between two poses (4,), around `parked` robots. Raises NoRoute, and PlanError when
+    `out_of_time`."""
     rise_m = float(goal[2] - start[2])
     away_m = float(np.hypot(*(goal[:2] - start[:2])))
     period_s = experiment.controller.period_s
@@ -73,7 +81,8 @@ def plan_transfer(experiment: Experiment, around: FreeSpace, start: Array, goal:
         others = np.array([(*p[:2], keep_m) for p in parked]).reshape(-1, 3)
         discs = _no_wider_than_free(np.vstack([around.discs, others]), start[:2], goal[:2])
         half_m = tuple(max(h, abs(float(start[k])), abs(float(goal[k]))) for k, h in enumerate(around.half_m))
-        points = find_route([(start[0], start[1]), (goal[0], goal[1])], discs, (half_m[0], half_m[1]))
+        ends = [(start[0], start[1]), (goal[0], goal[1])]
+        points = find_route(ends, discs, (half_m[0], half_m[1]), out_of_time=out_of_time)
         try:
             path = SplinePath(Waypoints(kind="waypoints", points_m=tuple((x, y) for x, y in points.tolist()), speed_mps=1.0))
         except ValueError:

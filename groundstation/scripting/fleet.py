@@ -13,8 +13,8 @@ from shoal.bus.bus import Bus, Inbox
 from shoal.config.loader import toml_value
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
-from shoal.messages.messages import Command, CommandKind, Event, Outcome, Pose, RobotState, StationHeartbeat
-from shoal.messages.topics import WHOLE_FLEET, Topic
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Event, Outcome, Pose, RobotState, StationHeartbeat
+from shoal.messages.topics import Topic
 from shoal.runtime.cli_options import DEFAULT_FLEET
 
 M = TypeVar("M")
@@ -56,7 +56,7 @@ class ConnectedFleet:
         self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         self._time = FleetTime(self._heartbeat)
         self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
-        self._mission_line = ""
+        self._mission_line = 0, ""  # the station's last, with its session
         self.ended = False  # True once the run was ended from here
         bus.subscribe(topics.EVENT, None, self._event)
 
@@ -218,8 +218,14 @@ class ConnectedFleet:
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:
         """Wait until the station's preflight finds nothing amiss. Raises NotHeard with what it finds."""
-        if not self._wait(lambda: self._mission_line.startswith(READY_LINE), timeout_s):
-            raise NotHeard(f"the fleet was not ready within {timeout_s:g} s: {self._mission_line or 'nothing heard'}")
+        if not self._wait(lambda: self._present_line().startswith(READY_LINE), timeout_s):
+            raise NotHeard(f"the fleet was not ready within {timeout_s:g} s: {self._present_line() or 'nothing heard'}")
+
+    def _present_line(self) -> str:
+        """The line about the mission that counts: of the station that is heard now, and of no earlier one. Empty: none."""
+        heartbeat, (session, line) = self._heartbeat.newest(), self._mission_line
+        is_present = heartbeat is not None and heartbeat.header.session == session and self._fresh(self._heartbeat, FRESH_S)
+        return line if is_present else ""
 
     def wait_event(self, text: str = "", timeout_s: float = 60.0) -> Event:
         """Next event (line of a process's log) with this text in it. Events before it are dropped. Raises NotHeard."""
@@ -268,7 +274,7 @@ class ConnectedFleet:
         with self._bus.arrival:
             self._events.append(event)
             if event.source == "groundstation" and event.message.startswith("mission: "):
-                self._mission_line = event.message
+                self._mission_line = header.session, event.message
             self._bus.arrival.notify_all()
 
 

@@ -27,7 +27,7 @@ from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages import topics
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET
 from shoal.runtime.output_files import PAGE_OPEN, replace_text
 from shoal.runtime.runtime import Clock, Stop, WallClock, log, log_to_bus
 from shoal.runtime.version import code
@@ -133,9 +133,16 @@ def cycles(
 
 
 def _conclude(station: Station, server: WebServer | None, stop: Stop, run_dir: Path) -> None:
-    """End the run at a person's Ctrl-C, and mark the run's folder if a page is open: then that is shown the ended run next."""
+    """End the run at a person's Ctrl-C, tell of robots that are left with power, and mark the run's folder if a page is open:
+    then that is shown the ended run next."""
     if stop.interrupted:
         station.core.ended = True
+    left = [str(robot) for robot, view in station.views.items() if may_have_power(view)]
+    if left and not station.clock.waits:  # else the simulator ends with its robots
+        log.warning(
+            "robot %s may still have power: without this station it is neutral after %g s",
+            ", ".join(left), station.experiment.safety.station_neutral_s,
+        )  # fmt: skip
     if server is not None and server.watched:
         with contextlib.suppress(OSError):  # a full disk: the run has ended all the same
             (run_dir / PAGE_OPEN).touch()

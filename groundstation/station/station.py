@@ -22,8 +22,7 @@ from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.state_machine import READY, MissionState, in_words, rejection_reason
 from groundstation.mission.station_core import StationCore
-from groundstation.planning.feasibility import PlanError
-from groundstation.planning.prioritized_planning import OutOfTime
+from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
 from groundstation.web.backend import Status
@@ -33,14 +32,23 @@ from shoal.bus.endpoint import PATIENT_MS
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, DriveVelocity, FaultRequest, Reply, StationHeartbeat, Trajectory
-from shoal.messages.topics import WHOLE_FLEET, Role, process_name
+from shoal.messages.messages import (
+    WHOLE_FLEET,
+    Command,
+    CommandKind,
+    DriveVelocity,
+    FaultRequest,
+    Reply,
+    StationHeartbeat,
+    Trajectory,
+)
+from shoal.messages.topics import Role, process_name
 from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
 
 ORDER_TIMEOUT_S = 0.5
 PATIENT_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
-TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED, MissionState.DEGRADED})
+TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED})
 PROMPT = frozenset({CommandKind.STOP, CommandKind.DISARM, CommandKind.HOLD})
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
 # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
@@ -152,7 +160,7 @@ class Station:
         )  # fmt: skip
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
-        self._tell()
+        self._log_news()
 
     def _unanswered(self, command: Command) -> int:
         """Number of commands of this kind that the robot has not answered. More would only wait for one another."""
@@ -260,11 +268,11 @@ class Station:
     def on_operator_command(self, header: Header, command: Command) -> Reply:
         """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A TUNE without gains
         goes back to the gains before the last change."""
-        if command.about:
+        if command.about and command.order is CommandKind.NONE:
             outcome = self.requests.outcome(command.about)
             reason = "" if outcome is not None else f"request {command.about} is not known here (any more)"
             return Reply(WHOLE_FLEET, outcome is not None, reason, outcome=outcome)
-        if command.tuning is not None:
+        if command.tuning is not None and command.order is CommandKind.TUNE:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:
@@ -385,7 +393,8 @@ class Station:
             flown_s=mission.plans.flown.duration_s,
         )
 
-    def _tell(self) -> None:
+    def _log_news(self) -> None:
+        """Log, once each, other versions of the code, the recorder's troubles, and every change of the mission."""
         codes = {f"robot {robot} {view.other_code}" for robot, view in self.views.items() if view.other_code}
         codes |= {self._localizers_code()} - {""}
         for text in sorted(codes - self.codes_told):
@@ -402,7 +411,8 @@ class Station:
         without_figures = FIGURE.sub("", line)
         if without_figures != self.last_line:
             self.last_line = without_figures
-            (log.warning if self.mission.state in TROUBLED else log.info)("mission: %s", line)
+            degraded = self.mission.state is MissionState.DEGRADED and self.mission.roster.trouble
+            (log.warning if degraded or self.mission.state in TROUBLED else log.info)("mission: %s", line)
 
 
 def _shown(text: str) -> str:

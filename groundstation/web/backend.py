@@ -12,8 +12,7 @@ from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Finding, Fleet
 from groundstation.web.protocol import Edit
 from shoal.config.experiment import Experiment
-from shoal.messages.messages import CommandKind, DriveVelocity, Outcome, Trajectory
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, CommandKind, DriveVelocity, Outcome, Trajectory
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ class ClientHub:
         ended."""
         if self._watchers:
             self._each(lambda w: w.window.end())
-            self._tell_now()
+            self._offer_now()
             await asyncio.sleep(FAREWELL_S)
 
     def close(self) -> None:
@@ -155,7 +155,7 @@ class ClientHub:
                 rested = now_s - told_s >= took_s / MOST_SHARE
                 if rested and ((self._watchers and self._source.changed()) or now_s - told_s >= AT_LEAST_S):
                     told_s = now_s
-                    self.tell()
+                    self.offer_state()
                     took_s = time.monotonic() - now_s
             except Exception as error:
                 self._complain(error)
@@ -198,16 +198,16 @@ class ClientHub:
                 watcher.window.offer("picture", body)
                 watcher.wake.set()
 
-    def tell(self) -> None:
-        """Offer the present state to everyone."""
+    def offer_state(self) -> None:
+        """Offer the present state to every watcher."""
         self._lease.free(time.monotonic())  # a silent holder loses it
         head: dict[str, Any] = {
             "k": "state",
             "stamp_ms": time.time() * 1e3,
             "holder": self._lease.holder,
             "watchers": len(self._watchers),
+            "clock_ms": int(time.monotonic() * 1e3),  # comes back with a request
         }
-        head["clock_ms"] = int(time.monotonic() * 1e3)  # comes back with orders
         body = packed(head | self._source.snapshot())
         self._each(lambda w: w.window.offer("state", body))
 
@@ -242,7 +242,7 @@ class ClientHub:
         watcher.answer({"k": "past", "states": self._source.past()})
         self._replace(watcher)
         self._watchers[watcher.id] = watcher
-        self._tell_now()
+        self._offer_now()
         sender = asyncio.create_task(_send(websocket, watcher))
         try:
             await self._listen(websocket, watcher)
@@ -297,10 +297,10 @@ class ClientHub:
             watcher.wake.set()
         elif isinstance(request, protocol.Take):
             self._lease.ask(watcher.id, now_s, request.over)
-            self._tell_now()
+            self._offer_now()
         elif isinstance(request, protocol.Release):
             self._lease.leave(watcher.id)
-            self._tell_now()
+            self._offer_now()
         elif isinstance(request, protocol.OrderRequest):
             self._spawn(self._request(watcher, request))
         elif isinstance(request, NEWEST):
@@ -404,12 +404,12 @@ class ClientHub:
 
     def _answer(self, watcher: Client, n: int, order: str, reason: str, number: int) -> None:
         watcher.answer({"k": "reply", "n": n, "order": order, "ok": not reason, "reason": reason, "request": number})
-        self._tell_now()
+        self._offer_now()
 
-    def _tell_now(self) -> None:
-        """Tell as `tell` does, where a state that cannot be told must end nothing else."""
+    def _offer_now(self) -> None:
+        """Offer the state as `offer_state` does, where a state that cannot be packed must end nothing else."""
         try:
-            self.tell()
+            self.offer_state()
         except Exception as error:
             self._complain(error)
 
@@ -450,13 +450,13 @@ class ClientHub:
         """The list of runs, after the change that was asked for. Pages that watch may look."""
         desk, reason = self._desk, self._may_command(watcher)
         if isinstance(request, protocol.ListRuns):
-            answer = await self._at(self._runs, desk.nothing, desk.listing)
+            answer = await self._at(self._runs, desk.empty_listing, desk.listing)
         elif reason:
-            answer = await self._at(self._runs, desk.nothing, desk.listing, reason)
+            answer = await self._at(self._runs, desk.empty_listing, desk.listing, reason)
         elif isinstance(request, protocol.LabelRun):
-            answer = await self._at(self._runs, desk.nothing, desk.label, request.run, request.name, request.tags)
+            answer = await self._at(self._runs, desk.empty_listing, desk.label, request.run, request.name, request.tags)
         else:
-            answer = await self._at(self._runs, desk.nothing, desk.delete, request.run)
+            answer = await self._at(self._runs, desk.empty_listing, desk.delete, request.run)
         watcher.answer(answer)
 
 

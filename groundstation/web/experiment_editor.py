@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import msgspec
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import figures
+from groundstation.planning.feasibility import OutOfTime, figures
 from groundstation.planning.segment import PlanSegment
 from groundstation.planning.straight_sides import make_path
 from groundstation.web.commented_file import commented
@@ -25,6 +26,7 @@ from shoal.messages.messages import CommandKind, Trajectory
 from shoal.runtime.output_files import replace_text
 
 EDITED = Path("experiments")  # below where the station was started
+LIMIT_S = 10.0  # for an edit's plan, which takes the processor from the station's cycle; the page asks again at each change
 # The path's keys by the edit's, for each kind of path
 _PATH_KEYS = {
     "waypoints": {
@@ -90,15 +92,19 @@ def _choose_robots(table: dict[str, Any], edit: Edit) -> None:
 
 def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     """Plan an edit: the paths that it would give with their clearances, as far as there are any, and every reason against
-    it."""
-    shown: dict[str, Any] = {}
+    it. One that is not planned within LIMIT_S is refused."""
+    shown, until_s = dict[str, Any](), time.monotonic() + LIMIT_S
+
+    def out_of_time() -> bool:
+        return time.monotonic() > until_s
+
     try:
         changed = edited(experiment, edit)
         shown = {"nodes_m": [[robot.id, *robot.node_m] for robot in changed.robots]}  # also of what cannot be flown
         try:
-            drafted, problems = planner.draft(changed)
+            drafted, problems = planner.draft(changed, out_of_time)
         except ConfigError:
-            shown |= _shown_to_its_end(changed)
+            shown |= _shown_to_its_end(changed, out_of_time)
             raise
         shown |= _shown(changed, drafted.trajectories)
         if not problems:
@@ -172,14 +178,14 @@ def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> di
     }
 
 
-def _shown_to_its_end(experiment: Experiment) -> dict[str, Any]:
+def _shown_to_its_end(experiment: Experiment, out_of_time: OutOfTime) -> dict[str, Any]:
     """Paths that end before the run, as far as they go; nothing of others that cannot be planned."""
     with contextlib.suppress(ConfigError, ValueError):
         if isinstance(experiment.path, Waypoints):
             end_s = make_path(experiment.path).end_s
             period_s = experiment.controller.period_s
             ended = experiment.model_copy(update={"duration_s": min(experiment.duration_s, end_s // period_s * period_s)})
-            return _shown(ended, planner.draft(ended)[0].trajectories)
+            return _shown(ended, planner.draft(ended, out_of_time)[0].trajectories)
     return {}
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.fleet_time import PaceMeter
-from groundstation.logs.session_clocks import is_old_line
 from groundstation.mission.state_machine import READY, MissionState, order_name, states_allowing
 from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
@@ -33,6 +32,7 @@ from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import CommandKind, Event, Preview, Trajectory
+from shoal.messages.session_clocks import is_old_line
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Clock, log
 

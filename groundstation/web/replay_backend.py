@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundstation.formation_clock import FormationPlans
-from groundstation.logs import session_clocks
 from groundstation.logs.reader import open_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
@@ -27,9 +26,10 @@ from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
 from groundstation.web.snapshot import PAST_ROBOTS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
 from shoal.config.experiment import Experiment, load_experiment
-from shoal.messages import topics
+from shoal.messages import session_clocks, topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import (
+    WHOLE_FLEET,
     CommandKind,
     DriveVelocity,
     Event,
@@ -39,7 +39,7 @@ from shoal.messages.messages import (
     StationHeartbeat,
     Trajectory,
 )
-from shoal.messages.topics import WHOLE_FLEET, Topic
+from shoal.messages.topics import Topic
 
 BLOCK_NS = 1_000_000_000
 KEPT_BLOCKS = 8
@@ -205,10 +205,13 @@ class LogPlayer:
         return past
 
     def _past_row(self, at_ns: int, newest: Mapping[tuple[Topic, int], tuple[int, bytes]]) -> dict[str, Any]:
+        """The page's row at an instant, from the newest message of each topic and robot by then: its arrival, its payload."""
+
         def aged(topic: Topic, robot: int = 0) -> AgedMessage:
             arrived_ns, payload = newest.get((topic, robot), (0, b""))
-            message = _read(topic.type, payload) if payload and at_ns - arrived_ns < LOOK_BACK * BLOCK_NS else None
-            return AgedMessage() if message is None else AgedMessage(message, (at_ns - arrived_ns) * 1e-6)
+            age_ns = at_ns - arrived_ns
+            message = _read(topic.type, payload) if payload and age_ns < LOOK_BACK * BLOCK_NS else None
+            return AgedMessage() if message is None else AgedMessage(message, age_ns * 1e-6)
 
         robots = {r: RobotSnapshot(aged(topics.STATE, r), AgedMessage(), AgedMessage()) for r in self.experiment.robot_ids}
         return past_row(snapshot(FleetSnapshot(time_s=at_ns * 1e-9, robots=robots, localizer=aged(topics.LOCALIZER))))

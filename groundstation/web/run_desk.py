@@ -57,8 +57,8 @@ class RunDesk:
         """End of the run that is shown; None while it is flown."""
         return run_end(self._shown) if self._shown is not None else None
 
-    def nothing(self, problem: str) -> dict[str, Any]:
-        """A list without runs, and the reason."""
+    def empty_listing(self, problem: str) -> dict[str, Any]:
+        """A list without runs for the page, and the reason."""
         return {
             "k": "runs",
             "folder": str(self._shown.parent) if self._shown is not None else "",
@@ -69,7 +69,7 @@ class RunDesk:
     def listing(self, problem: str = "") -> dict[str, Any]:
         """All runs for the page, the newest first, and what became of its last request."""
         if self._shown is None:
-            return self.nothing(problem)
+            return self.empty_listing(problem)
         runs = []
         for run in reversed(run_folders.list_runs(self._shown.parent)):
             folder = Path(run.run)

@@ -7,8 +7,6 @@ from typing import Annotated, cast, get_args
 
 import typer
 
-from shoal.config.experiment import experiment_path, load_experiment
-from shoal.config.perception import MarkerFamily
 from shoal.errors import ConfigError
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
@@ -98,6 +96,7 @@ def print_markers(
     Examples:  localizer print-markers --ids 1-6          localizer print-markers --ids 40-43 --size 200 --paper A3
     """
     from localizer.calibration.marker_sheet import as_pdf, as_svg, marker_sheets, mirrored_ids
+    from shoal.config.perception import MarkerFamily
     from shoal.runtime.output_files import replacing
 
     families = get_args(MarkerFamily)
@@ -161,6 +160,7 @@ def check(
     from shoal.bus.bus import Bus
     from shoal.bus.network import endpoint
     from shoal.bus.zenoh_transport import ZenohTransport
+    from shoal.config.experiment import experiment_path, load_experiment
     from shoal.messages.topics import Role, process_name
     from shoal.runtime.runtime import Stop, start_log
 

@@ -22,6 +22,7 @@ _SUSPECT_RATIO, _SUSPECT_PX = 3.0, 1.0  # improvement without a point, and RMS i
 _SUSPECT_STEPS = 20  # most evaluations of a fit without one point; five are needed from the fit to all points
 _UNUSABLE_PX = 10.0  # px of a picture 1280 wide; a larger RMS means confused points, not careless clicks
 _LOWEST_CAMERA_M = -0.05  # m, largest z of a camera above the water
+_BEHIND_PX = 1e5  # px, error of a point that does not lie before the lens: more than any in a picture
 _STEP = 1e-5  # m and rad, step of derivatives: 0.01 px, far above rounding and far below curvature
 
 
@@ -107,7 +108,7 @@ def _best_pose(camera: Camera, places: Array, pixels: Array) -> Camera:
 
 def _is_seen(camera: Camera, places: Array) -> bool:
     """True if all places lie before the lens: a camera that looks away from them would explain a mirrored picture."""
-    return bool(RefractiveCamera(camera).shows(places).all())
+    return bool(np.isfinite(RefractiveCamera(camera).pool_to_pixel(places)).all())
 
 
 def _starts(camera: Camera, places: Array, pixels: Array) -> list[Array]:
@@ -155,7 +156,8 @@ def _suspect(camera: Camera, residuals: Array, places: Array, pixels: Array) -> 
 
 def _errors(parameters: Array, camera: Camera, places: Array, pixels: Array) -> Array:
     """Predicted less seen pixels, (2 n,)."""
-    return (RefractiveCamera(_moved(camera, parameters)).pool_to_pixel(places) - pixels).ravel()
+    errors = RefractiveCamera(_moved(camera, parameters)).pool_to_pixel(places) - pixels
+    return np.nan_to_num(errors, nan=_BEHIND_PX).ravel()
 
 
 def _moved(camera: Camera, parameters: Array) -> Camera:

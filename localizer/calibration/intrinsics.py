@@ -197,7 +197,7 @@ def intrinsics_faults(fit: IntrinsicsFit) -> list[str]:
         faults.append(f"an RMS of {fit.rms_px:.2f} px is poor: is the board flat, the --board right, the picture sharp?")
     if (fold := fold_px(fit.lens)) > LARGEST_FOLD_PX:
         faults.append(
-            f"the distortion folds over before the picture's edge ({fold:.1f} px off): places there will be wrong; the lens "
+            f"the distortion folds over within the picture ({fold:.1f} px off): places there will be wrong; the lens "
             "is a fish-eye, or the board was not shown near the edges"
         )
     return faults

@@ -105,7 +105,7 @@ def _true_pixels(view: RefractiveCamera, points: Array) -> Array:
     """Pixels (n, 2) of points (n, 3); NaN for those that lie behind the camera or where the lens model folds over."""
     pixels = view.pool_to_pixel(points)
     true = np.linalg.norm(view.pixel_to_pool(pixels, points[:, 2]) - points[:, :2], axis=1) < _TRUE_M
-    return np.where((true & view.shows(points))[:, None], pixels, np.nan)
+    return np.where(true[:, None], pixels, np.nan)
 
 
 def _in_picture(camera: Camera, pixels: Array) -> NDArray[np.bool_]:

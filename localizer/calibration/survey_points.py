@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
-from localizer.detection.fiducials import marker_centres
+from localizer.detection.fiducials import marker_centres, marker_dictionary
 from localizer.detection.image_regions import Pixels
 from shoal.config.loader import Section
 from shoal.config.perception import MarkerFamily
@@ -34,13 +34,21 @@ class SurveyPoint(Section):
     name: Annotated[str, Field(min_length=1)]
     pool_m: Vec3
     pixel_px: Vec2 | None = None
-    marker_id: Annotated[int, Field(ge=0, le=49)] | None = None
+    marker_id: Annotated[int, Field(ge=0)] | None = None
 
     @model_validator(mode="after")
     def _seen_somewhere(self) -> Self:
         if (self.pixel_px is None) == (self.marker_id is None):
             raise ValueError("needs either pixel_px or marker_id")
         return self
+
+
+def marker_fault(point: SurveyPoint, family: MarkerFamily) -> str:
+    """The reason why a point's marker cannot be one of a family; empty if it can."""
+    count = len(marker_dictionary(family).bytesList)
+    if point.marker_id is None or point.marker_id < count:
+        return ""
+    return f"{point.name!r}: marker_id = {point.marker_id}: {family} has no such marker (allowed: 0 to {count - 1})"
 
 
 class SurveyFile(Section):
@@ -65,6 +73,8 @@ class SurveyFile(Section):
         low = (-size[0] / 2 - _OUTSIDE_M, -size[1] / 2 - _OUTSIDE_M, _HIGHEST_M)
         high = (size[0] / 2 + _OUTSIDE_M, size[1] / 2 + _OUTSIDE_M, size[2])
         for point in self.points:
+            if fault := marker_fault(point, self.marker_family):
+                raise ValueError(f"points: {fault}")
             for axis, value, least, most in zip("xyz", point.pool_m, low, high, strict=True):
                 if not least <= value <= most:
                     allowed = f"allowed: {least:g} to {most:g}; z is positive under water"

@@ -47,6 +47,7 @@ _JUDGED = 0.5  # share of the pool's cells; with fewer of them watched the detec
 _LEARNS = "the localizer learns what the water looks like"
 _CHANGED = "the light changed or the camera moved, and the localizer learns anew what the water looks like"
 _HIDDEN = "too little of the pool is in sight"
+_FAILED = "the obstacle watch failed, and the localizer learns anew what the water looks like"
 
 _LEGS_M = 0.025  # m, reach of a robot's legs and trim beyond its hull
 _CELLS_AROUND = 1.5  # cells around a robot that show part of it: half a cell's reach, and the averaging over neighbours
@@ -60,7 +61,7 @@ class ObstacleDetector:
     """The detector of one camera: call `step` once per frame, in order, with the robots that the localizer sees."""
 
     def __init__(self, experiment: Experiment) -> None:
-        self._view = RefractiveCamera(experiment.camera)
+        self._experiment, self._view = experiment, RefractiveCamera(experiment.camera)
         self._shape_px = experiment.camera.size_px[::-1]
         self._grid = CellGrid(experiment.camera.size_px)
         self._depth_m, self._safety = experiment.path.depth_m, experiment.safety
@@ -114,6 +115,15 @@ class ObstacleDetector:
         self._blind_reason = _HIDDEN if share >= _JUDGED else self._blind_reason
         return self._message(share, stamp_ns)
 
+    def begun_anew(self, stamp_ns: int) -> "tuple[ObstacleDetector, Obstacles]":
+        """A detector that learns the water anew, after an error in this one, and its message: blind, with the obstacles that
+        this one has told of."""
+        detector = ObstacleDetector(self._experiment)
+        detector._remembered, detector._blind_reason = (*self._remembered, *self._reported), _FAILED
+        detector._tracker = self._tracker  # whose numbers go on
+        detector._tracker.clear()
+        return detector, detector._message(0.0, stamp_ns)
+
     # --- in the order of `step`
 
     def _robots(self, robots_m: Array) -> tuple[Mask, Mask]:
@@ -127,10 +137,16 @@ class ObstacleDetector:
             places[:, 0, :, :2] += reach * _RING
             places[:, 1, :, :2] += shade[:, None, None] * _RING
             places[:, 1, :, 2] = self._floor_m
-            for robot, shadow in self._in_cells(self._view.pool_to_pixel(places)):
-                cv2.fillConvexPoly(hidden, robot, 1, shift=_FRACTION_BITS)
-                cv2.fillConvexPoly(shaded, shadow, 1, shift=_FRACTION_BITS)
+            for robot_px, shadow_px in self._view.pool_to_pixel(places):
+                self._fill(hidden, robot_px)
+                self._fill(shaded, shadow_px)
         return hidden.astype(np.bool_), shaded.astype(np.bool_)
+
+    def _fill(self, mask: NDArray[np.uint8], corners_px: Array) -> None:
+        """Fill a convex polygon, without its corners behind the lens, which are NaN."""
+        before = corners_px[~np.isnan(corners_px[:, 0])]
+        if len(before) > 2:
+            cv2.fillConvexPoly(mask, self._in_cells(before), 1, shift=_FRACTION_BITS)
 
     def _foreground(self, distance: Planes, watched: Mask) -> NDArray[np.uint8]:
         """Mask of the cells that are at least half covered by an object."""

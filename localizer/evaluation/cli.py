@@ -11,7 +11,6 @@ from typing import Annotated
 
 import typer
 
-from shoal.config.experiment import experiment_path, load_experiment
 from shoal.errors import ConfigError
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
@@ -67,6 +66,7 @@ def latency(
     from shoal.bus.bus import Bus
     from shoal.bus.network import endpoint
     from shoal.bus.zenoh_transport import ZenohTransport
+    from shoal.config.experiment import experiment_path, load_experiment
     from shoal.messages.topics import Role, process_name
     from shoal.runtime.runtime import Stop, WallClock, start_log
 
@@ -122,6 +122,7 @@ def evaluate(
 
     from localizer.evaluation import runner
     from localizer.tracking.check_marks import with_camera
+    from shoal.config.experiment import experiment_path, load_experiment
 
     if json is not None:
         read = [recording, *([truth] if truth is not None else [])]
@@ -177,6 +178,7 @@ def track(
     from localizer.sources.recording import EXPERIMENT, frame_estimate, recorded_frames
     from localizer.sources.video import VideoReader
     from localizer.tracking.check_marks import with_camera
+    from shoal.config.experiment import experiment_path, load_experiment
     from shoal.runtime.runtime import start_log
 
     start_log("localizer")
@@ -239,6 +241,7 @@ def rerun(
     from localizer.evaluation.offline import compare_again
     from localizer.evaluation.runner import table, to_json
     from localizer.sources.recording import EXPERIMENT, require_recording
+    from shoal.config.experiment import load_experiment
     from shoal.runtime.runtime import start_log
 
     start_log("localizer")

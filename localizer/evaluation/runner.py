@@ -36,11 +36,13 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, decode
-from shoal.messages.messages import Pose, Truth
+from shoal.messages.messages import LocalizerStatus, Pose, Truth
+from shoal.messages.session_clocks import SessionClocks
 from shoal.runtime import mcap_records as log_records
+from shoal.runtime.mcap_records import RecordedMessage
 from shoal.system.regular_files import open_regular
 
-_READ = (topics.TRUTH.name, "/pose")
+_READ = (topics.TRUTH.name, topics.LOCALIZER.name, "/pose")
 
 COLUMNS = ("frame", "robot", "x_m", "y_m", "yaw_rad")  # of `read_poses`
 
@@ -157,21 +159,32 @@ def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
 
 def evaluate_log(path: Path) -> list[PoseRow]:
     """Poses of a recorded run against the plant's truth in it; with several cameras the fused ones, and then rows about the
-    cameras. A log that was cut off counts as far as it goes."""
-    poses: list[PublishedPose] = []
-    true: dict[int, list[tuple[int, Array]]] = {}
-    for topic, stamp_ns, data in _records(path):
-        parts = topic.split("/")
+    cameras. A log that was cut off counts as far as it goes. Each sender stamps by its own clock; what belongs together does
+    by the recorder's."""
+    published, truths, clocks = list[tuple[RecordedMessage, Pose]](), list[tuple[RecordedMessage, Truth]](), SessionClocks()
+    for record in _records(path):
+        one = record._replace(data=b"")  # what is kept is decoded
         try:
-            if topic.endswith(topics.TRUTH.name):
-                truth = decode(Truth, data, "log", topic)
-                for robot, eta in zip(truth.robots, truth.eta, strict=False):
-                    true.setdefault(robot, []).append((stamp_ns, eta[[0, 1, 3]]))
-            elif parts[-3:-2] == ["robot"] and parts[-1] == "pose":
-                camera = parts[-4] if parts[-5:-4] == ["camera"] else ""
-                poses.append(PublishedPose(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic), camera))
+            if one.topic.endswith(topics.TRUTH.name):
+                truths.append((one, decode(Truth, record.data, "log", one.topic)))
+                clocks.note(topics.TRUTH, one.session, one.stamp_ns, one.arrived_ns, truths[-1][1])
+            elif one.topic.endswith(topics.LOCALIZER.name):
+                status = decode(LocalizerStatus, record.data, "log", one.topic)
+                clocks.note(topics.LOCALIZER, one.session, one.stamp_ns, one.arrived_ns, status)
+            elif one.topic.split("/")[-3:-2] == ["robot"]:
+                published.append((one, decode(Pose, record.data, "log", one.topic)))
         except (DecodeError, ValueError) as error:
             raise ConfigError(f"{path}: {error}") from None
+
+    def at_ns(one: RecordedMessage) -> int:
+        """Instant that a message is about, on the recorder's clock."""
+        return one.stamp_ns + clocks.shift_ns(one.topic, one.session, one.stamp_ns)
+
+    true: dict[int, list[tuple[int, Array]]] = {}
+    for one, truth in truths:
+        for robot, eta in zip(truth.robots, truth.eta, strict=False):
+            true.setdefault(robot, []).append((at_ns(one), eta[[0, 1, 3]]))
+    poses = [_published(one, pose, at_ns(one)) for one, pose in published]
     paths = {robot: trajectory(samples) for robot, samples in true.items()}
     rows = pose_rows([pose for pose in poses if not pose.camera], paths) + camera_rows(poses, paths)
     if not rows:
@@ -179,11 +192,17 @@ def evaluate_log(path: Path) -> list[PoseRow]:
     return rows
 
 
-def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, stamp and bytes of the poses and truths of a log, up to a cut or damaged record."""
+def _published(one: RecordedMessage, pose: Pose, at_ns: int) -> PublishedPose:
+    parts = one.topic.split("/")
+    camera = parts[-4] if parts[-5:-4] == ["camera"] else ""
+    return PublishedPose(int(parts[-2]), at_ns, pose, camera)
+
+
+def _records(path: Path) -> Iterator[RecordedMessage]:
+    """The poses and truths of a log, and the localizers' status, up to a cut or damaged record."""
     try:
         with open_regular(path) as file:
-            yield from (record for record in log_records.messages(file) if record[0].endswith(_READ))
+            yield from (one for one in log_records.recorded_messages(file) if one.topic.endswith(_READ))
     except ImportError:
         raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None
     except log_records.Damaged:  # the recorder was killed: what lies before is good

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from shoal.config.experiment import NO_CAMERA, experiment_path, load_experiment
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -57,6 +56,7 @@ def setup(
     from shoal.bus.frame_ring import codec_of
     from shoal.bus.network import endpoint
     from shoal.bus.zenoh_transport import ZenohTransport
+    from shoal.config.experiment import NO_CAMERA, experiment_path, load_experiment
     from shoal.messages.topics import Role, process_name
     from shoal.runtime.runtime import Stop, WallClock, start_log
 

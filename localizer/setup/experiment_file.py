@@ -56,20 +56,34 @@ class ExperimentFile:
     @property
     def has_camera(self) -> bool:
         """False if the file has no camera yet: all its keys come from the setup."""
-        return self._camera_file is not None or "camera" in tomlkit.parse(self._text)
+        return self._has_camera(self._text)
+
+    def _has_camera(self, text: str) -> bool:
+        return self._camera_file is not None or "camera" in tomlkit.parse(text)
 
     def reload(self) -> None:
-        """Read the file again; changes are then shown against what it holds now. Raises ConfigError."""
+        """Read the file again; changes are then shown against what it holds now. Raises ConfigError, and goes on with what it
+        held, if it is no experiment's now."""
         with os_errors_as_config_errors(self._source):
-            self._text = self._read()
+            text = self._read()
+        self._camera_of(text)
+        self._text = text
 
     def _read(self) -> str:
-        return read_regular(self._source, MOST_BYTES).decode("utf-8-sig")
+        try:
+            text = read_regular(self._source, MOST_BYTES).decode("utf-8-sig")
+            tomlkit.parse(text)
+        except ValueError as error:
+            raise ConfigError(f"{self._source}: {error}") from None
+        return text
 
     @property
     def camera(self) -> Camera:
         """The camera that the file holds. Raises ConfigError if the file is no longer one of an experiment."""
-        return self._checked(tomlkit.parse(self._text).unwrap(), () if self.has_camera else [NO_CAMERA]).camera
+        return self._camera_of(self._text)
+
+    def _camera_of(self, text: str) -> Camera:
+        return self._checked(tomlkit.parse(text).unwrap(), () if self._has_camera(text) else [NO_CAMERA]).camera
 
     @property
     def _source(self) -> Path:

@@ -305,12 +305,11 @@ class SetupSession:
             work, grey, lens_fit = self._work, self._grey, self._work.lens_fit
         if work.camera is None:
             raise ConfigError(self._no_lens())
-        fit = work.survey.fit(work.camera, grey)
+        fit, points = work.survey.fit(work.camera, grey)
         with self._lock:
             if work.lens_fit is not lens_fit:
-                work.survey.residuals.clear()
                 raise ConfigError("another lens was found meanwhile: find the pose again")
-            points = tuple(work.survey.points.values())
+            work.survey.note_errors(fit, points)
             work.pose_fit, work.camera = fit, fit.camera
             work.pose_said = pose_lines(fit, points, self._experiment.pool)
             self._note = f"pose: {len(points)} points, RMS {fit.rms_px:.2f} px"

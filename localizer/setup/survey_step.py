@@ -10,12 +10,20 @@ from itertools import product
 import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose, place_errors_m
-from localizer.calibration.survey_points import CORNER_REACH_PX, SurveyFile, SurveyPoint, refined_corner, seen_pixels
+from localizer.calibration.survey_points import (
+    CORNER_REACH_PX,
+    SurveyFile,
+    SurveyPoint,
+    marker_fault,
+    refined_corner,
+    seen_pixels,
+)
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import Pixels
 from shoal.config.loader import check
 from shoal.config.perception import Camera, MarkerFamily
 from shoal.config.scene import PoolConfig
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 
@@ -60,8 +68,11 @@ class SurveyStep:
                 else f"at a corner {moved:.1f} px from the click"
             )
         table = {"name": name, "pool_m": pool_m, "pixel_px": pixel, "marker_id": marker_id}
+        point = check(SurveyPoint, {k: v for k, v in table.items() if v is not None}, "this point")
+        if fault := marker_fault(point, self._family):
+            raise ConfigError(f"this point: {fault}")
         self.residuals.pop(name, None)
-        self.points[name] = check(SurveyPoint, {k: v for k, v in table.items() if v is not None}, "this point")
+        self.points[name] = point
         return message
 
     def remove(self, name: str) -> None:
@@ -69,14 +80,22 @@ class SurveyStep:
         self.points.pop(name, None)
         self.residuals.pop(name, None)
 
-    def fit(self, camera: Camera, grey: Pixels | None) -> PoseFit:
-        """The camera's pose; markers are looked for in the grey picture. Raises ConfigError."""
+    def fit(self, camera: Camera, grey: Pixels | None) -> tuple[PoseFit, tuple[SurveyPoint, ...]]:
+        """The camera's pose, and the points that it is from: others may change them meanwhile. Markers are looked for in the
+        grey picture. Raises ConfigError."""
         points = tuple(self.points.values())
-        table = {"pool": self._pool.model_dump(), "points": [point.model_dump() for point in points]}
+        table = {
+            "pool": self._pool.model_dump(),
+            "points": [point.model_dump() for point in points],
+            "marker_family": self._family,
+        }
         check(SurveyFile, table, "the survey")
-        pose_fit = fit_pose(camera, points, seen_pixels(points, grey, self._family))
-        self.residuals = _residuals(pose_fit, points)
-        return pose_fit
+        return fit_pose(camera, points, seen_pixels(points, grey, self._family)), points
+
+    def note_errors(self, fit: PoseFit, points: Sequence[SurveyPoint]) -> None:
+        """Keep the errors of a fit, of the points that are still as they were for it."""
+        unchanged = {point.name for point in points if self.points.get(point.name) == point}
+        self.residuals = {name: error for name, error in _residuals(fit, points).items() if name in unchanged}
 
 
 def _residuals(fit: PoseFit, points: Sequence[SurveyPoint]) -> dict[str, PointResidual]:

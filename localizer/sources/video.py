@@ -83,7 +83,8 @@ class VideoReader:
     def pictures(self, limit: int | None = None) -> Iterator[VideoPicture]:
         """All pictures that can be decoded, with numbers below `limit`. Raises ConfigError if there are none."""
         while (limit is None or not self._decoded or self._decoded[-1] < limit - 1) and (picture := self.next()) is not None:
-            yield picture
+            if limit is None or picture.number < limit:  # those before it may be damaged
+                yield picture
         if not self._decoded:
             raise ConfigError(f"video {self._path}: no picture can be decoded")
 

@@ -112,7 +112,7 @@ class CameraPoseTracker:
         fitted, residuals = fit_camera_pose(self.pose.camera, places, pixels)
         agrees = np.sqrt(np.mean(np.sum(residuals**2, axis=2), axis=1)) < _AGREES_PX
         self._agreeing = int(np.sum(agrees))
-        if self._agreeing < LANDMARKS_NEEDED or fitted.camera.position_m[2] >= 0.0:
+        if self._agreeing < LANDMARKS_NEEDED or not fitted.camera.position_m[2] < 0.0:
             return
         self.pose, self.view, self._age_s = fitted, RefractiveCamera(fitted.camera), 0.0
 
@@ -161,13 +161,15 @@ def _moved(camera: Camera, step: Array) -> Camera:
 
 def fit_camera_pose(camera: Camera, places: Array, pixels: Array) -> tuple[CameraPoseEstimate, Array]:
     """Fit the pose, starting at `camera`, to corners (n, 4, 3) that were found at pixels (n, 4, 2); also the residuals (n, 4,
-    2) px.
+    2) px, infinite where a place came behind the lens: then there is no fit.
 
     Ripples move the four corners of a landmark together, so each landmark counts as one point in the covariance.
     """
     slope, move = np.empty((*pixels.shape, 6)), np.full(6, np.inf)
     for _ in range(_ROUNDS):
         measurement = RefractiveCamera(camera).pool_to_pixel(places)
+        if not np.all(np.isfinite(measurement)):
+            return CameraPoseEstimate(camera, np.full((6, 6), np.inf)), np.full(pixels.shape, np.inf)
         if np.max(np.abs(move)) > _SAME_SLOPES:
             for k, step in enumerate(_STEP * np.eye(6)):
                 slope[..., k] = (RefractiveCamera(_moved(camera, step)).pool_to_pixel(places) - measurement) / _STEP

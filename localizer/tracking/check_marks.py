@@ -51,7 +51,7 @@ def _check_lens(experiment: Experiment) -> None:
     camera = experiment.camera
     if (fold := fold_px(Intrinsics.of(camera))) > LARGEST_FOLD_PX:
         raise ConfigError(
-            f"{experiment.name}: camera.distortion = {list(camera.distortion)}: cannot be undone at the picture's edge "
+            f"{experiment.name}: camera.distortion = {list(camera.distortion)}: cannot be undone in all of the picture "
             f"({fold:.1f} px off), so places there would be wrong: calibrate again (docs/calibration.md), or take a lens "
             "that is less wide"
         )
@@ -163,8 +163,10 @@ class CheckedCameraPose(FixedCameraPose):
         self.trouble = "; ".join(troubles)
 
     def _shift_px(self, mark: int, pixels: Array) -> float:
-        """Distance of a mark, found with its corners at pixels (4, 2), from its place."""
-        return float(np.linalg.norm((pixels - self._expected_px[mark]).mean(axis=0)))
+        """Distance of a mark, found with its corners at pixels (4, 2), from its place; infinite if that is not before the
+        lens."""
+        shift_px = float(np.linalg.norm((pixels - self._expected_px[mark]).mean(axis=0)))
+        return shift_px if math.isfinite(shift_px) else math.inf
 
     def _shift_covariance(self, corners_px: dict[int, Array]) -> Array:
         """Covariance (3, 3) of [x, y, yaw]: the marks' mean square shift [m^2] and turn [rad^2] in the pool."""
@@ -179,7 +181,9 @@ class CheckedCameraPose(FixedCameraPose):
         """The camera's displacement as far as enough marks tell it, as the end of a sentence."""
         if len(places) < LANDMARKS_NEEDED:
             return ""
-        fitted, _ = fit_camera_pose(self._camera, places, pixels)
+        fitted, residuals_px = fit_camera_pose(self._camera, places, pixels)
+        if not np.all(np.isfinite(residuals_px)):
+            return ""
         old, new = (np.asarray(cv2.Rodrigues(np.array(c.rotation_rad))[0]) for c in (self._camera, fitted.camera))
         turn_rad = np.linalg.norm(np.asarray(cv2.Rodrigues(new @ old.T)[0]))
         moved_m = np.linalg.norm(np.subtract(fitted.camera.position_m, self._camera.position_m))

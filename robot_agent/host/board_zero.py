@@ -15,11 +15,14 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from shoal.mavlink.agent_link import Telemetry
 from shoal.runtime.output_files import replace_text
 from shoal.runtime.runtime import log
 from shoal.system.regular_files import read_regular
+
+if TYPE_CHECKING:
+    from shoal.mavlink.agent_link import Telemetry
 
 SERVICE_FOLDER = Path("/var/lib/shoal-agent")  # StateDirectory of the service
 FILE = "depth-zero.json"
@@ -76,7 +79,7 @@ def boot_time_s() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
-def confirmed(telemetry: Telemetry) -> ZeroRecord:
+def confirmed(telemetry: "Telemetry") -> ZeroRecord:
     """Record of a board whose zero a person has confirmed: its depths are counted from the surface."""
     now_s = boot_time_s()
     return ZeroRecord(boot_id(), now_s, now_s - 1e-3 * telemetry.board_ms, 0.0, telemetry.depth_m)
@@ -92,7 +95,7 @@ class BoardZero:
         self._looked_s = -math.inf
         self._failed = False
 
-    def note(self, telemetry: Telemetry) -> float | None:
+    def note(self, telemetry: "Telemetry") -> float | None:
         """Take in the board's telemetry. Returns the depth of its zero if that is another one than `telemetry` has."""
         now_s = self._now_s()
         if self._folder is None or telemetry.board_ms < 0 or now_s - self._looked_s < LOOK_S or telemetry.reports_start:

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Self
 import tomli_w
 from pydantic import AfterValidator, Field, model_validator
 
+from shoal.config import LARGEST_ROBOT
 from shoal.config.loader import Section, check, read_toml
-from shoal.config.scene import LARGEST_ROBOT
 from shoal.errors import ConfigError
 from shoal.mavlink.board_address import DEFAULT_LINK, PORTS_BY_ID
 from shoal.mavlink.board_port import Link, open_link

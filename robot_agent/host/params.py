@@ -6,17 +6,18 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from shoal.config.scene import LARGEST_ROBOT
+from shoal.config import LARGEST_ROBOT
 from shoal.errors import ConfigError
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
-from shoal.mavlink.board_port import Link, open_link
-from shoal.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient
-from shoal.mavlink.signing_key import Signing
 from shoal.runtime.cli_options import LinkInsecure, LinkKey, finite
+
+if TYPE_CHECKING:
+    from shoal.mavlink.board_port import Link
+    from shoal.mavlink.parameters import ParameterClient
 
 AGAIN_S = 0.3  # between one question and its repetition
 WITHIN_S = 5.0  # for an answer, beyond what a board needs before it speaks
@@ -34,7 +35,7 @@ cli = typer.Typer(help="The thruster board's parameters (docs/board.md). They ch
 class ParameterSession:
     """Link to a board and the client that talks over it."""
 
-    def __init__(self, link: Link, client: ParameterClient) -> None:
+    def __init__(self, link: "Link", client: "ParameterClient") -> None:
         self._link, self.client = link, client
 
     def until(self, done: Callable[[], bool], ask: Callable[[], bytes]) -> bool:
@@ -65,6 +66,10 @@ class ParameterSession:
 @contextmanager
 def talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[ParameterSession]:
     """A session with a board that is heard. Raises ConfigError with the reason if none is."""
+    from shoal.mavlink.board_port import open_link
+    from shoal.mavlink.parameters import LINK_ID, ParameterClient
+    from shoal.mavlink.signing_key import Signing
+
     signing = Signing.of(key, "params", LINK_ID) if key is not None else None
     client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
     wires = open_link(link, secured=signing is not None or insecure)
@@ -144,6 +149,9 @@ def give_key(
 
     Example:  robot-agent params give-key robot-1.key --link serial:/dev/serial/by-id/NAME
     """
+    from shoal.mavlink.parameters import LINK_ID
+    from shoal.mavlink.signing_key import Signing
+
     signing = Signing.of(file, "params", LINK_ID)
     with talk(link, robot, None, insecure=False) as session:
         client, newest = session.client, signing.stamps()
@@ -166,15 +174,17 @@ def _check_name(name: str) -> None:
         )
 
 
-def answered_value(client: ParameterClient, name: str) -> float:
+def answered_value(client: "ParameterClient", name: str) -> float:
     """Value of a parameter as the board has told it. Raises ConfigError with the reason if it has not."""
     if name not in client.values:
         raise ConfigError(f"{name}: {_refusal(client)}")
     return client.values[name]
 
 
-def _refusal(client: ParameterClient) -> str:
+def _refusal(client: "ParameterClient") -> str:
     """Text about a missing value."""
+    from shoal.mavlink.parameters import DOES_NOT_EXIST
+
     if client.error is None:
         return "no answer"
     if client.error[1] == DOES_NOT_EXIST:

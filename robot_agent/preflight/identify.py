@@ -1,18 +1,17 @@
 """SHELL: `robot-agent identify`: a vehicle's numbers from measurements on a bench."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from robot_agent.host.params import ParameterSession, WhichRobot, talk
-from robot_agent.preflight.thrust_curve import ThrustFit, fit, read_rows
-from shoal.config.loader import MOST_BYTES, check
-from shoal.config.vehicle import Thruster, load_vehicle
 from shoal.errors import ConfigError, os_errors_as_config_errors
-from shoal.mavlink.agent_link import STANDARD_GRAVITY_MPS2
 from shoal.runtime.cli_options import LinkInsecure, LinkKey, finite
 from shoal.system.regular_files import read_regular
+
+if TYPE_CHECKING:
+    from robot_agent.preflight.thrust_curve import ThrustFit
 
 cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hardware.md).")
 
@@ -45,6 +44,11 @@ def thrust(
 
     Example:  robot-agent identify thrust scale.csv --lever 0.5 --link serial:/dev/serial/by-id/NAME
     """
+    from robot_agent.preflight.thrust_curve import fit, read_rows
+    from shoal.config.loader import MOST_BYTES, check
+    from shoal.config.vehicle import Thruster, load_vehicle
+    from shoal.mavlink.agent_link import STANDARD_GRAVITY_MPS2
+
     with os_errors_as_config_errors(file):
         lines = read_regular(file, MOST_BYTES).decode("utf-8-sig").splitlines()
     readings = read_rows(lines, str(file), lever)
@@ -58,7 +62,7 @@ def thrust(
             typer.echo(f"{write_curve(session, curve_fit)} parameters of the board at {link} changed", err=True)
 
 
-def toml(curve_fit: ThrustFit, vehicle: str, largest_n: float, readings: int) -> str:
+def toml(curve_fit: "ThrustFit", vehicle: str, largest_n: float, readings: int) -> str:
     """The curve as an experiment's lines."""
     worst = f"at worst {curve_fit.worst_n:.3f} N in line {curve_fit.worst.line} ({curve_fit.worst.pulse_us} us)"
     points = ", ".join(f"[{pulse}, {force:g}]" for pulse, force in curve_fit.curve)
@@ -68,7 +72,7 @@ def toml(curve_fit: ThrustFit, vehicle: str, largest_n: float, readings: int) ->
     )
 
 
-def write_curve(session: ParameterSession, curve_fit: ThrustFit) -> int:
+def write_curve(session: ParameterSession, curve_fit: "ThrustFit") -> int:
     """Set the curve's parameters on the board; returns how many were changed. A value that does not fit the others yet is
     tried again when others have changed. Raises ConfigError if one is refused for good, if the board's curve has another
     number of points, or if the board does not tell all that it has."""

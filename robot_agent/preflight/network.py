@@ -12,9 +12,8 @@ from shoal.bus.bus import Bus
 from shoal.bus.connection_diagnostics import trouble_reaching
 from shoal.bus.key_ring import Keys, common_name, open_keys
 from shoal.bus.network import endpoint
-from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
-from shoal.errors import ConfigError
+from shoal.errors import ConfigError, Unreached
 from shoal.messages import topics
 from shoal.messages.messages import StationHeartbeat
 from shoal.messages.topics import Role, process_name

@@ -248,13 +248,14 @@ class ThrustResponse:
         self._sure_s = self._sure_s + elapsed_s if self.turn_evidence > 1.0 else 0.0
 
     def _begin(self, stamp_ns: int, place: complex, yaw_rad: float, variance_m2: float) -> None:
+        """Set all filters to a robot at rest at this pose, whose thrust and drag are those of the vehicle file."""
         self._at_ns, self._yaw_rad = stamp_ns, yaw_rad
-        x, p, count = self._filters.mean, self._filters.covariance, len(RESTLESS)
-        self._filters.weight[:] = 1.0 / count
-        x[:] = np.array([place, 0.0, 0.0, 1.0, 1.0])
-        deviations = [math.sqrt(variance_m2), AT_REST_MPS, self._push.thrust_mps2, FIRST_GAIN, FIRST_DRAG]
-        p[:] = 2.0 * np.diag(np.square(deviations))
-        self.standstill.step(place, yaw_rad, math.sqrt(variance_m2), 0j, 0.0)
+        deviation_m = math.sqrt(variance_m2)
+        deviations = [deviation_m, AT_REST_MPS, self._push.thrust_mps2, FIRST_GAIN, FIRST_DRAG]
+        self._filters.weight[:] = 1.0 / len(RESTLESS)
+        self._filters.mean[:] = np.array([place, 0.0, 0.0, 1.0, 1.0])  # in the order of P, V, A, G, D
+        self._filters.covariance[:] = 2.0 * np.diag(np.square(deviations))
+        self.standstill.step(place, yaw_rad, deviation_m, 0j, 0.0)
 
     @property
     def turn_evidence(self) -> float:
@@ -263,7 +264,7 @@ class ThrustResponse:
         size, deviation = abs(self.response.gain), self.response.deviation
         if size < PUSHES + SURE * deviation:
             return 0.0
-        gains = self._filters.mean[:-1, G].tolist()  # waves that go with the thrust by chance look otherwise in each
+        gains = self._filters.mean[:-1, G].tolist()  # waves in step with the thrust by chance do not turn all of them alike
         return (min(abs(cmath.phase(gain)) for gain in gains) - TURNED_RAD) * size / (SURE * deviation)
 
     @property

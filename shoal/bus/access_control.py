@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from shoal.messages.messages import WHOLE_FLEET
 from shoal.messages.topics import (
     CLAIM_KEY,
     COMMAND_KEY,
@@ -24,7 +25,6 @@ from shoal.messages.topics import (
     PRESENCE_KEY,
     RECOVERED,
     TOPICS,
-    WHOLE_FLEET,
     Role,
     Topic,
     localizer_name,

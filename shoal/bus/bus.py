@@ -19,8 +19,8 @@ from typing import Any, Generic, TypeVar
 
 from shoal.bus.command_deduplication import CommandDeduplicator
 from shoal.bus.delay_estimator import DelayEstimator
-from shoal.bus.transport import Answer, Await, Transport, Unreached
-from shoal.errors import ConfigError
+from shoal.bus.transport import Answer, Await, Transport
+from shoal.errors import ConfigError, Unreached
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode, encode
 from shoal.messages.messages import Command, CommandKind, Message, Reply
@@ -42,6 +42,7 @@ LOOK_AGAIN_S = 3.0  # a name that is taken: of a process that ends as it is look
 STOPPED_WITHIN_S = 0.2  # between looks at whether this process is to end
 SESSIONS = 4  # per inbox that are remembered: of a sender that was started again, the one before may still be on its way
 TWO_SENDERS_S = 1.0  # after the last sign of a second sender; all topics that control come several times in that time
+NOBODY = "nobody answers there"
 KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
 
 
@@ -342,23 +343,30 @@ class Bus:
         The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
         started again is refused: what it was meant for is no more. So is a second try that would come after a later order."""
         if command.robot in self.unreachable:
-            return lambda: self._read(command, "", None, timeout_s)
+            return lambda: self._read(command, "", None, f"no answer within {timeout_s:g} s")
         key = self._key(topics.COMMAND_KEY.format(robot=command.robot if to is None else to))
-        recipient = self._recipients.get(key, 0)
+        recipient, asked_s = self._recipients.get(key, 0), time.monotonic()
         first = self._ask(key, replace(command, recipient=recipient), stamp_ns, timeout_s)
         assert first is not None
 
+        def read(answer: Await, asked_s: float) -> Reply:
+            """Wait for a reply. A network knows at once where nobody serves the key, and waits only for one that does."""
+            data = answer()
+            is_late = time.monotonic() - asked_s >= timeout_s
+            return self._read(command, key, data, f"no answer within {timeout_s:g} s" if is_late else NOBODY)
+
         def reply() -> Reply:
             sequence, answer = first
-            reply = self._read(command, key, answer(), timeout_s)
+            reply = read(answer, asked_s)
             if reply.session:
                 self._recipients[key] = reply.session
             if recipient or not reply.session or reply.accepted:
                 return reply
+            asked_again_s = time.monotonic()
             named = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s, only_after=sequence)
             if named is None:
                 return Reply(command.robot, False, f"{command.order.name} was overtaken by a later order")
-            return self._read(command, key, named[1](), timeout_s)
+            return read(named[1], asked_again_s)
 
         return reply
 
@@ -374,9 +382,10 @@ class Bus:
             header = self._next_header(key, stamp_ns)
             return header.sequence, self.transport.ask(key, payload, header.encode(), timeout_s)
 
-    def _read(self, command: Command, key: str, answer: bytes | None, timeout_s: float) -> Reply:
+    def _read(self, command: Command, key: str, answer: bytes | None, silence: str) -> Reply:
+        """The reply in an answer; where there is none, one that tells of this `silence`."""
         if answer is None:
-            return Reply(command.robot, False, f"no answer within {timeout_s:g} s", silent=True)
+            return Reply(command.robot, False, silence, silent=True)
         try:
             return decode(Reply, answer, f"robot {command.robot}", key)
         except DecodeError as error:

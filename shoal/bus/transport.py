@@ -28,7 +28,3 @@ class Transport(Protocol):
     def announce(self, key: str) -> None: ...
     def watch(self, key: str, presence: Presence, anew: bool = False) -> None: ...  # `anew`: without memory of before
     def close(self) -> None: ...
-
-
-class Unreached(Exception):
-    """The station's router cannot be reached, or the process is to stop before it could be."""

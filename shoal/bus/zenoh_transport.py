@@ -20,8 +20,8 @@ import zenoh.ext
 from shoal.bus.access_control import DOOR, listed
 from shoal.bus.connection_diagnostics import trouble_listening, trouble_reaching
 from shoal.bus.endpoint import MOST_SESSIONS, Endpoint, beside, settings
-from shoal.bus.transport import Answer, Await, Collect, Deliver, Presence, Unreached, Urgent
-from shoal.errors import ConfigError
+from shoal.bus.transport import Answer, Await, Collect, Deliver, Presence, Urgent
+from shoal.errors import ConfigError, Unreached
 from shoal.messages.topics import RECOVERED, Qos
 from shoal.system.open_files import FILES_APART, allow_files
 

@@ -12,6 +12,7 @@ from shoal.frames import Array
 
 Shape = Literal["line", "column", "triangle", "diamond", "circle"]
 SHAPES: tuple[Shape, ...] = get_args(Shape)
+FORM_USAGE = "[SHAPE [SPACING_M]] [turn DEGREES] [scale FACTOR] [order ID,ID,...] [over SECONDS]"
 
 
 def shape_nodes(shape: Shape, count: int, spacing_m: float) -> Array:

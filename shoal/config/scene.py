@@ -6,7 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shoal.config.formation_shapes import SHAPES, Shape
+from shoal.config import LARGEST_ROBOT
+from shoal.config.formation_shapes import FORM_USAGE, SHAPES, Shape
 from shoal.config.loader import Section
 from shoal.config.vehicle import NotNegative, Positive
 
@@ -14,7 +15,6 @@ Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]
 
-LARGEST_ROBOT = 49  # the marker of a robot is, unless told otherwise, that of its number, of 50
 MOST_WAYPOINTS = 30_000  # of a path, all laps together: no file has room for more
 
 
@@ -136,10 +136,9 @@ class Change(Section):
     turn_rad: float = 0.0
     """Turn of the nodes about the centre."""
     order: Annotated[tuple[int, ...], Field(examples=[(2, 1)])] = ()
-    """Ids of the robots in the order of the places. Left out: the shortest ways, or no change."""
+    """Ids of the robots in the order of the places. Left out: by shortest distance to a new shape, else as before."""
 
 
-FORM_USAGE = "[SHAPE [SPACING_M]] [turn DEGREES] [scale FACTOR] [order ID,ID,...] [over SECONDS]"
 PACES_S = (8.0, 14.0, 25.0, 45.0)  # of a change whose duration nobody gave; the first that can be flown
 
 

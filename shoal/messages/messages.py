@@ -424,6 +424,9 @@ class DriveVelocity:
     yaw_rate_radps: Annotated[float, 3] = 0.0
 
 
+WHOLE_FLEET = 0  # orders to "robot 0" are requests to the station, for the whole fleet
+
+
 @dataclass(frozen=True, eq=False)
 class Command:
     """A command to one robot, or a request to the station (robot 0). It is applied at most once, by the process that it

@@ -141,7 +141,6 @@ TOPICS = (
 OF_CAMERAS = (FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES)
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
-WHOLE_FLEET = 0  # orders to "robot 0" are requests to the station, for the whole fleet
 COMMANDERS = (Role.STATION,)  # roles that send commands to robots
 OPERATORS = (Role.STATION, Role.OPERATOR)  # roles that make requests of the station
 

@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from pydantic import TypeAdapter, ValidationError
 
-from shoal.config.experiment import EXPERIMENTS, Experiment
 from shoal.errors import ConfigError
 from shoal.runtime.output_files import RUN
 from shoal.runtime.version import code
@@ -55,11 +53,15 @@ def finite(value: Any) -> Any:
 
 def _limit_of(key: str) -> Callable[[Any], Any]:
     """Callback of an option for one key of the experiment: the same limits, told of the option."""
-    field = Experiment.model_fields[key]
-    allowed = TypeAdapter[Any](Annotated[field.annotation, *field.metadata])  # type: ignore[arg-type]
 
     def checked(value: Any) -> Any:
+        from pydantic import TypeAdapter, ValidationError
+
+        from shoal.config.experiment import Experiment
+
         if finite(value) is not None:
+            field = Experiment.model_fields[key]
+            allowed = TypeAdapter[Any](Annotated[field.annotation, *field.metadata])  # type: ignore[arg-type]
             try:
                 allowed.validate_python(value)
             except ValidationError as error:
@@ -88,6 +90,8 @@ _A_RUN = f"(allowed: a run's folder, such as runs/pool-20260101-120000, or its {
 
 def experiments(begun: str) -> list[str]:
     """Completions of an experiment's name: the shipped ones, and files and folders here."""
+    from shoal.config.experiment import EXPERIMENTS
+
     folder, _, name = begun.rpartition("/")
     here = Path(folder or ("/" if begun.startswith("/") else "."))
     shipped = [path.stem for path in EXPERIMENTS.glob(f"{begun}*.toml")] if "/" not in begun else []

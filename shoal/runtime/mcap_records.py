@@ -12,12 +12,13 @@ Layout: https://mcap.dev/spec. Needs only the standard library, and zstandard or
 
 import importlib
 import os
+import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import IO
+from typing import IO, NamedTuple
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END, FOOTER = 3, 4, 5, 6, 7, 9, 12, 15, 2
@@ -27,6 +28,7 @@ LARGEST_BYTES = 32 * 1024 * 1024  # of a record, and of an unpacked chunk; the r
 UNPACKED_AT_LEAST = 16 * 1024 * 1024
 UNPACKED_TIMES = 64  # a pool's log unpacks to twice its size, its best chunk to five times
 
+SESSION = "session"  # a channel's metadata: the session of its sender, in hexadecimal digits
 LATEST_NS = (1 << 63) - 1  # MCAP's times have 64 bits without a sign, ours, and those of other programs' tables, have one
 
 _HEAD = struct.Struct("<BQ")  # opcode, length
@@ -204,17 +206,32 @@ def parts(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
         place += length
 
 
-def messages(file: IO[bytes]) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, publish time and payload of each message of a file, in order; the topic is empty where none was told. Raises
-    what `records` raises."""
-    names: dict[int, str] = {}
+class RecordedMessage(NamedTuple):
+    """A message of a log: both times by the clock that its name says."""
+
+    topic: str  # empty where none was told
+    session: int  # of the sender; 0 where none was told
+    stamp_ns: int  # by the sender's clock
+    arrived_ns: int  # by the recorder's
+    data: bytes
+
+
+def recorded_messages(file: IO[bytes]) -> Iterator[RecordedMessage]:
+    """Each message of a file, in order. Raises what `records` raises."""
+    channels: dict[int, tuple[str, int]] = {}
     for opcode, body in records(file):
         if opcode == CHANNEL:
             number, topic = channel_topic(body)
-            names[number] = topic
+            channels[number] = topic, session_of(channel_metadata(body).get(SESSION, ""))
         elif opcode == MESSAGE:
-            number, _, _, stamp_ns, data = message(body)
-            yield names.get(number, ""), stamp_ns, data
+            number, _, arrived_ns, stamp_ns, data = message(body)
+            yield RecordedMessage(*channels.get(number, ("", 0)), stamp_ns, arrived_ns, data)
+
+
+def messages(file: IO[bytes]) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, publish time and payload of each message of a file, in order; the topic is empty where none was told. Raises
+    what `records` raises."""
+    return ((one.topic, one.stamp_ns, one.data) for one in recorded_messages(file))
 
 
 def message(body: bytes) -> tuple[int, int, int, int, bytes]:
@@ -234,6 +251,25 @@ def channel_topic(body: bytes) -> tuple[int, str]:
         return _U16.unpack_from(body)[0], _text(body, 4)[0]
     except (struct.error, UnicodeDecodeError) as error:
         raise Damaged(f"a channel of {len(body)} bytes: {error}") from None
+
+
+def channel_metadata(body: bytes) -> dict[str, str]:
+    """The texts that a channel has beside its topic, by name. Raises Damaged."""
+    texts = list[str]()
+    try:
+        place = _text(body, _text(body, 4)[1])[1] + 4  # behind the length of them all
+        end = place + _U32.unpack_from(body, place - 4)[0]
+        while place < end:
+            text, place = _text(body, place)
+            texts.append(text)
+        return dict(zip(texts[::2], texts[1::2], strict=True))
+    except (struct.error, UnicodeDecodeError, ValueError) as error:
+        raise Damaged(f"a channel of {len(body)} bytes: {error}") from None
+
+
+def session_of(text: str) -> int:
+    """The session that a channel's metadata tell; 0 for what is none."""
+    return int(text, 16) if re.fullmatch("[0-9a-fA-F]{1,16}", text) else 0
 
 
 def _text(data: bytes, place: int) -> tuple[str, int]:

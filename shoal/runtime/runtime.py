@@ -18,17 +18,16 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from types import FrameType
-from typing import Any, NoReturn, Protocol, TextIO, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO, TypeVar, cast
 
-from shoal.bus.bus import Bus, Received
-from shoal.bus.transport import Unreached
-from shoal.errors import ConfigError
-from shoal.messages import topics
-from shoal.messages.messages import Event
+from shoal.errors import ConfigError, Unreached
 from shoal.runtime import output
 from shoal.runtime.foreign_packages import foreign_package
 from shoal.system.printable import printable, printable_lines
 from shoal.system.programs import end_with_parent
+
+if TYPE_CHECKING:
+    from shoal.bus.bus import Bus, Received
 
 log = logging.getLogger("shoal")
 T = TypeVar("T")
@@ -48,7 +47,7 @@ class Clock(Protocol):
     @property
     def waits(self) -> bool: ...  # time stands while a step is made: nothing is late, and nothing is measured
     def now_ns(self) -> int: ...
-    def instant_ns(self, received: Received[Any]) -> int: ...
+    def instant_ns(self, received: "Received[Any]") -> int: ...
     def arrival_ns(self, stamp_ns: int) -> int: ...  # of a message with this stamp that comes now
 
 
@@ -63,7 +62,7 @@ class WallClock:
     def now_ns(self) -> int:
         return time.monotonic_ns() + self._offset_ns
 
-    def instant_ns(self, received: Received[Any]) -> int:
+    def instant_ns(self, received: "Received[Any]") -> int:
         """Arrival here, less the age that the sender states and what it was held up on its way. What the sender's clock shows
         plays no part."""
         return self._offset_ns - received.age_ns(0)
@@ -72,7 +71,7 @@ class WallClock:
         return self.now_ns()
 
 
-def age_s(clock: Clock, received: Received[Any]) -> float:
+def age_s(clock: Clock, received: "Received[Any]") -> float:
     """Seconds since a message's content was true."""
     return (clock.now_ns() - clock.instant_ns(received)) * 1e-9
 
@@ -184,7 +183,7 @@ def run_steps(steps: Generator[None, None, T]) -> T:
             return end.value  # type: ignore[no-any-return]
 
 
-def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> bool:
+def wait(bus: "Bus", stop: Stop, ready: Callable[[], bool], timeout_s: float) -> bool:
     """Sleep until `ready()`, the time is over or a stop is asked for. Returns whether `ready()`."""
     deadline = time.monotonic() + timeout_s
     while not stop.requested:
@@ -199,11 +198,14 @@ def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> b
 class _BusHandler(logging.Handler):
     """Publishes the log's lines as events, so that the recorder has them."""
 
-    def __init__(self, bus: Bus, clock: Clock, source: str) -> None:
+    def __init__(self, bus: "Bus", clock: Clock, source: str) -> None:
         super().__init__(logging.INFO)
         self._bus, self._clock, self._source = bus, clock, source
 
     def emit(self, record: logging.LogRecord) -> None:
+        from shoal.messages import topics
+        from shoal.messages.messages import Event
+
         if self._bus.closed:  # the gate's guard speaks to the end
             return
         try:
@@ -255,7 +257,7 @@ def start_log(process: str, verbose: bool = False) -> None:
     log.propagate = False
 
 
-def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
+def log_to_bus(bus: "Bus", clock: Clock, process: str) -> None:
     """Send the log's lines out as events too, from now on."""
     handler = _BusHandler(bus, clock, process)
     handler.addFilter(lambda _: speaking.get() in (None, process))

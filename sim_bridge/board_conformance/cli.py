@@ -4,30 +4,29 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from shoal.errors import ConfigError
-from shoal.mavlink.board_port import Link, UdpLink, open_link
-from shoal.mavlink.parameters import ParameterClient
-from shoal.mavlink.signing_key import Signing
 from shoal.runtime.cli_options import LinkInsecure, LinkKey
 from shoal.runtime.runtime import signals_raise
-from sim_bridge.board_conformance.probe import BoardProbe, BoardWire
-from sim_bridge.board_conformance.rules import RULES
-from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
+
+if TYPE_CHECKING:
+    from shoal.mavlink.board_port import Link, UdpLink
+    from shoal.mavlink.parameters import ParameterClient
+    from sim_bridge.board_conformance.probe import BoardWire
+    from sim_bridge.board_conformance.runner import RuleResult
 
 HEARD_WITHIN_S = 5.0
 STRANGERS = 9  # peers without a key; more than the board has places for
 CAREFUL = "Thrusters will turn slowly, each way; on a board that is wrong, perhaps fast. Is nobody's hand near them?"
-COLOURS = {RuleVerdict.PASSED: "green", RuleVerdict.FAILED: "red", RuleVerdict.SKIPPED: None}
 
 
-class LinkWire(BoardWire):
-    """The wire of a real link, by the monotonic clock."""
+class LinkWire:
+    """The `BoardWire` of a real link, by the monotonic clock."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: "Link") -> None:
         self._link = link
         self._others: list[UdpLink] = []
 
@@ -42,6 +41,8 @@ class LinkWire(BoardWire):
         return self._link.read()
 
     def strangers(self) -> tuple[Callable[[], None], Callable[[], int]] | None:
+        from shoal.mavlink.board_port import UdpLink
+
         link = self._link
         if not isinstance(link, UdpLink):
             return None
@@ -75,6 +76,13 @@ def board_conformance(
 
     Example:  sim-bridge board-conformance --port /dev/serial/by-id/NAME --dry
     """
+    from shoal.mavlink.board_port import open_link
+    from shoal.mavlink.parameters import ParameterClient
+    from shoal.mavlink.signing_key import Signing
+    from sim_bridge.board_conformance.probe import BoardProbe
+    from sim_bridge.board_conformance.rules import RULES
+    from sim_bridge.board_conformance.runner import RuleVerdict, examine
+
     if not dry and not yes and not typer.confirm(CAREFUL, err=True):
         dry = True
     signing = Signing.of(key, "conformance") if key is not None else None
@@ -108,7 +116,7 @@ def board_conformance(
     raise typer.Exit(1 if failed else 0)
 
 
-def _listen(wire: BoardWire, client: ParameterClient, first_word_s: float) -> None:
+def _listen(wire: "BoardWire", client: "ParameterClient", first_word_s: float) -> None:
     """Listen until a heartbeat says what is there, for HEARD_WITHIN_S at most beyond what it needs to speak."""
     end_ns, asked_ns = wire.now_ns() + round((HEARD_WITHIN_S + first_word_s) * 1e9), 0
     while client.autopilot is None and wire.now_ns() < end_ns:
@@ -118,7 +126,7 @@ def _listen(wire: BoardWire, client: ParameterClient, first_word_s: float) -> No
         client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
 
 
-def _in_hil(wire: BoardWire, client: ParameterClient) -> bool:
+def _in_hil(wire: "BoardWire", client: "ParameterClient") -> bool:
     """True if the board says that it is in HIL mode."""
     end_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9)
     wire.send(client.ask("HIL_MODE"))
@@ -127,9 +135,12 @@ def _in_hil(wire: BoardWire, client: ParameterClient) -> bool:
     return client.values.get("HIL_MODE") == 1.0
 
 
-def _print_results(outcomes: Iterable[RuleResult], quiet: bool) -> Iterator[RuleResult]:
+def _print_results(outcomes: "Iterable[RuleResult]", quiet: bool) -> "Iterator[RuleResult]":
+    from sim_bridge.board_conformance.runner import RuleVerdict
+
+    colours = {RuleVerdict.PASSED: "green", RuleVerdict.FAILED: "red", RuleVerdict.SKIPPED: None}
     for outcome in outcomes:
         if not quiet:
-            verdict = typer.style(f"{outcome.verdict.value:8}", fg=COLOURS[outcome.verdict])
+            verdict = typer.style(f"{outcome.verdict.value:8}", fg=colours[outcome.verdict])
             typer.echo(f"{outcome.rule:18}{verdict} {outcome.measured:32} {outcome.requirement}")
         yield outcome

@@ -56,6 +56,7 @@ class MovingBackground:
         self._view = CameraRays(experiment.camera)
         self._waters = WaterLight(experiment, random)
         self._vignette = np.ascontiguousarray(vignette(self._view, self._waters.picture.vignetting)[0::2, 0::2])
+        # The still pool is drawn once, as a plan with walls and deck folded outwards; a frame takes its colours from there.
         px_m = 1.0 / experiment.camera.px_per_m
         self._texel_m = px_m / TEXELS_PER_PX
         length, width, depth = experiment.pool.size_m

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from shoal.config.experiment import NO_CAMERA, experiment_path, load_experiment
 from shoal.errors import ConfigError
 from shoal.runtime.cli_options import Duration, ExperimentName, Settings, finite
 from shoal.runtime.output import background, terminal
@@ -55,6 +54,7 @@ def compare(
                sim-bridge compare pool --laws nmpc,lqr,nmpc-leader-follower --seeds 1-5 --set sim.numeric.pose_noise_m=0.0015
                PYTHONPATH=. sim-bridge compare numeric --laws nmpc,ownlaw:Pd --set "controller.own=[2.0, 6.0]"
     """
+    from shoal.config.experiment import NO_CAMERA, experiment_path, load_experiment
     from sim_bridge.studies import comparison as comparing
     from sim_bridge.studies.comparison import VARIANTS
 

@@ -4,10 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from pydantic import TypeAdapter, ValidationError
 
-from shoal.config.experiment import Name
-from shoal.config.key_reference import schema_line
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import replace_text
 
@@ -24,6 +21,11 @@ def new(
 
     Example:  sim-bridge new lab
     """
+    from pydantic import TypeAdapter, ValidationError
+
+    from shoal.config.experiment import Name
+    from shoal.config.key_reference import schema_line
+
     try:
         TypeAdapter(Name).validate_python(name)
     except ValidationError:

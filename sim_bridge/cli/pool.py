@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from shoal.config.experiment import load_experiment
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -81,6 +80,7 @@ def pool(
 
     Example:  sim-bridge pool pool --station tls/192.0.2.10:7447 --keys keys
     """
+    from shoal.config.experiment import load_experiment
     from sim_bridge.node.wires import PoolWires, run_pool
 
     if pace is not None and not lockstep:
@@ -119,6 +119,7 @@ def hil(
 
     Example:  sim-bridge hil pool --board 1=serial:/dev/serial/by-id/NAME --board 2=udp:10.0.0.7:14550
     """
+    from shoal.config.experiment import load_experiment
     from sim_bridge.node.wires import PoolWires, real_boards, run_pool
 
     start_log("sim-bridge", verbose)
@@ -139,6 +140,7 @@ def board(
 
     Example:  sim-bridge board pool --port pty:/tmp/board, and then: robot-agent params list --link serial:/tmp/board
     """
+    from shoal.config.experiment import load_experiment
     from sim_bridge.node import bench
     from sim_bridge.thruster_board.board import ThrusterBoard
     from sim_bridge.thruster_board.nonvolatile import boards_in

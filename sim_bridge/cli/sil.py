@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
-from shoal.kernels.build import ensure_compiled
 from shoal.runtime.cli_options import (
     Duration,
     ExperimentName,
@@ -31,6 +29,7 @@ from sim_bridge.cli.pool import Pace, Poses
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from shoal.config.experiment import Experiment
     from sim_bridge.sil.commands import RunOptions
 
 OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder.")]
@@ -104,6 +103,8 @@ def sil(
         _go_on(experiment, source, at, _changes(seed, duration, settings), faults, out)
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
+    from shoal.config.experiment import NO_CAMERA
+    from shoal.kernels.build import ensure_compiled
     from sim_bridge.sil import launcher as software_in_the_loop
     from sim_bridge.sil.commands import RunOptions, check, pace_of
     from sim_bridge.sil.ports import page_address
@@ -129,7 +130,7 @@ def sil(
     raise typer.Exit(_fly_on(loaded, out, options, console))
 
 
-def _fly_on(experiment: Experiment, out: Path, options: "RunOptions", console: "Console") -> int:
+def _fly_on(experiment: "Experiment", out: Path, options: "RunOptions", console: "Console") -> int:
     """Fly an experiment, and then what a person chooses on the page. Returns the exit code of the last run that was flown."""
     from sim_bridge.sil.after_run import EndedRun, next_experiment
     from sim_bridge.sil.commands import check
@@ -157,7 +158,7 @@ def _fly_on(experiment: Experiment, out: Path, options: "RunOptions", console: "
         experiment = chosen
 
 
-def _fly(experiment: Experiment, out: Path, options: "RunOptions", stop: Stop, console: "Console") -> tuple[Path, int]:
+def _fly(experiment: "Experiment", out: Path, options: "RunOptions", stop: Stop, console: "Console") -> tuple[Path, int]:
     """Fly an experiment once. Returns its folder, which is gone if nothing was flown, and the exit code."""
     from sim_bridge.sil.commands import time_in_words
 
@@ -192,6 +193,7 @@ def numeric(
 
     Examples:  sim-bridge numeric numeric      sim-bridge numeric numeric-disturbed --set controller.estimator.enabled=false
     """
+    from shoal.config.experiment import NO_CAMERA
     from sim_bridge.in_process import run
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
@@ -250,11 +252,13 @@ def _with_one_thread() -> None:
 
 def _load(
     name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
-) -> Experiment:
+) -> "Experiment":
+    from shoal.config.experiment import load_experiment
+
     return _cautioned(load_experiment(name, _changes(seed, duration_s, settings), faults or ()))
 
 
-def _cautioned(experiment: Experiment) -> Experiment:
+def _cautioned(experiment: "Experiment") -> "Experiment":
     """Print the warnings that the experiment deserves, and return it."""
     from sim_bridge.fault_schedule import faults_after_the_end
 

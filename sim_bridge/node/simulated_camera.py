@@ -50,7 +50,7 @@ class SimulatedCamera:
         alone = experiment.of_camera(name)
         number = experiment.camera_names.index(name) if name else 0
         self._renderer = Renderer(alone, experiment.seed, number)
-        drops = {fault.broken.value for fault in experiment.sim.faults if fault.broken.kind == "water"}
+        drops = {fault.broken.value for fault in experiment.sim.faults if fault.broken.effect == "low"}
         self._sunk = {drop_m: Renderer(with_sunken_water(alone, drop_m), experiment.seed, number) for drop_m in sorted(drops)}
         self._trouble = CameraFaults()
         self._thread = ThreadPoolExecutor(1, f"render {name}")

@@ -83,7 +83,7 @@ def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iter
     last_names: dict[tuple[Topic, int], Name] = {}
     ahead_ns = 0
     for line in own:
-        for name in _names(line):
+        for name in _messages_used(line):
             sender = name[:2]
             while name not in by_sender.setdefault(sender, OrderedDict()) and ahead_ns <= line.arrived_ns + PATIENCE_NS:
                 other = next(others, None)
@@ -100,7 +100,8 @@ def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iter
         yield line
 
 
-def _names(line: LogMessage) -> Iterator[Name]:
+def _messages_used(line: LogMessage) -> Iterator[Name]:
+    """Names of the plans and of the list of obstacles that a recorded step used; none for a command."""
     if line.topic is not topics.INPUTS:
         return
     try:

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +13,6 @@ from shoal.runtime.output_files import page_was_open
 from shoal.runtime.runtime import SLICE_S, Stop
 from shoal.system import programs
 from sim_bridge.sil.commands import RunOptions
-
-ENDS_WITHIN_S = 5.0  # the page's server, after it was told to
 
 
 @dataclass(frozen=True)
@@ -41,16 +38,23 @@ def next_experiment(run: EndedRun, options: RunOptions, problem: str, stop: Stop
     arguments = ["ended", str(run.folder), "--web", options.page, "--problem", problem]
     closing = Stop()  # a person's next Ctrl-C is for the page alone
     with programs.start("groundstation", arguments, stdout=subprocess.PIPE) as page:
-        while page.poll() is None and not closing.requested:
-            time.sleep(SLICE_S)
-        if closing.requested:
-            page.terminate()
-            return None
-        lines = page.communicate(timeout=ENDS_WITHIN_S)[0].decode("utf-8", errors="replace").splitlines()
+        while (output := _output(page)) is None:  # an experiment may be longer than what a pipe holds
+            if closing.requested:
+                page.terminate()
+                return None
+        lines = output.decode("utf-8", errors="replace").splitlines()
     choice = json.loads(lines[-1]) if lines and page.returncode == 0 else {"what": "close"}
     if choice["what"] == "again":
         return run.experiment
     return _experiment(choice["experiment"]) if choice["what"] == "edited" else None
+
+
+def _output(page: subprocess.Popen[bytes]) -> bytes | None:
+    """All that a program has said, once it has ended; None if it has not within SLICE_S."""
+    try:
+        return page.communicate(timeout=SLICE_S)[0]
+    except subprocess.TimeoutExpired:
+        return None
 
 
 def _experiment(text: str) -> Experiment:

@@ -22,11 +22,10 @@ from shoal.bus import frame_ring
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import parse_address
 from shoal.bus.network import endpoint
-from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment, dump_experiment
 from shoal.config.fault_injection import KINDS
-from shoal.errors import ConfigError
+from shoal.errors import ConfigError, Unreached
 from shoal.mavlink.signing_key import new_key
 from shoal.messages.topics import Role, process_name
 from shoal.runtime.output_files import PAGE_OPEN, replace_text

@@ -54,28 +54,33 @@ def shown_measures(rows: Sequence[Row]) -> list[str]:
 
 def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Sequence[str]) -> list[KeyValue]:
     """A line for each value of a swept key, in the file's order."""
-    values = list(dict.fromkeys(str(row[key]) for row in flown))
-    sound = [row for row in flown if not row.get("at_fault")]
     others = [name for name in ("seed", *campaign.sweep) if name != key]
-    twins = {(str(row[key]), *(str(row[name]) for name in others)): row for row in sound}
+
+    def pair_of(row: Row) -> tuple[str, ...]:
+        """Seed and other swept values of a flight: the same in flights that differ in this key alone."""
+        return tuple(str(row[name]) for name in others)
+
+    values = list(dict.fromkeys(str(row[key]) for row in flown))
+    firsts = {pair_of(row): row for row in flown if str(row[key]) == values[0] and not row.get("at_fault")}
     lines = []
     for value in values:
-        members = [row for row in flown if str(row[key]) == value]
-        kept = [row for row in members if not row.get("at_fault")]
-        pairs = [(row, twins.get((values[0], *(str(row[name]) for name in others)))) for row in kept]
-        points = {m: [unit_of(m)[1] * row[m] for row in kept if row.get(m) is not None] for m in measures}
-        apart = {
-            m: [unit_of(m)[1] * (a[m] - b[m]) for a, b in pairs if b and None not in (a.get(m), b.get(m))] for m in measures
+        flights = [row for row in flown if str(row[key]) == value]
+        sound = [row for row in flights if not row.get("at_fault")]
+        pairs = [(row, firsts[pair_of(row)]) for row in sound if pair_of(row) in firsts and value != values[0]]
+        points = {m: [unit_of(m)[1] * row[m] for row in sound if row.get(m) is not None] for m in measures}
+        differences = {
+            m: [unit_of(m)[1] * (row[m] - first[m]) for row, first in pairs if None not in (row.get(m), first.get(m))]
+            for m in measures
         }
         lines.append(
             KeyValue(
                 value,
-                len(members),
-                rate(sum(bool(row["passed"]) for row in members), len(members)),
-                len(members) - len(kept),
-                points,
-                {m: mean(numbers) if numbers else None for m, numbers in points.items()},
-                {m: mean(numbers) if numbers and value != values[0] else None for m, numbers in apart.items()},
+                flights=len(flights),
+                within=rate(sum(bool(row["passed"]) for row in flights), len(flights)),
+                faults=len(flights) - len(sound),
+                points=points,
+                means={m: mean(numbers) if numbers else None for m, numbers in points.items()},
+                against_first={m: mean(numbers) if numbers else None for m, numbers in differences.items()},
             )
         )
     return lines

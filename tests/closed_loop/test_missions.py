@@ -44,7 +44,7 @@ def test_stopped_robot_comes_home_later() -> None:
     pool.run(8.0)
     assert pool.request(CommandKind.DISARM) == ""
     pool.until(MissionState.CANCELLED, within_s=3.0)
-    assert pool.mission.reason == "a person asked for DISARM when RUNNING"
+    assert pool.mission.reason == "a person asked for disarm while running"
     pool.run(2.0)
     assert pool.request(CommandKind.RETURN) == ""
     pool.until(MissionState.RETURNING, within_s=5.0)

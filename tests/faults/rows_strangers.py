@@ -17,8 +17,8 @@ from groundstation.station import discovery
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.network import endpoint
-from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.errors import Unreached
 from shoal.messages.messages import Command, CommandKind
 from sim_bridge.sil.ports import free_port
 from tests.faults.onlooker import PATIENCE_S, Stuck

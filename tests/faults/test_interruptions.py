@@ -17,8 +17,8 @@ import pytest
 
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
-from shoal.messages.messages import Command, CommandKind, Progress, StationHeartbeat, Truth
-from shoal.messages.topics import WHOLE_FLEET, Topic
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Progress, StationHeartbeat, Truth
+from shoal.messages.topics import Topic
 from sim_bridge.sil.ports import free_port
 from tests.faults.onlooker import Stuck
 from tests.faults.people import Crowd, PersonsRequest, ScriptLine, crowd, plan

@@ -9,8 +9,7 @@ from groundstation import client
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.messages.codec import LONGEST_TEXT
-from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Progress, Reply
 
 
 @pytest.mark.parametrize(
@@ -104,9 +103,22 @@ def test_a_request_is_followed_to_its_end_over_lost_answers_and_a_stop_is_repeat
         last = client.follow(ask, Command(order, WHOLE_FLEET), lambda: next(left, None) is None, outcomes.append)
         return last, requests, len(outcomes)
 
+    def words(reply: Reply) -> str:
+        is_done, text = client.verdict(reply, 5.0)
+        assert not is_done
+        return text
+
     last, requests, reports = followed(CommandKind.STOP, [silent, silent, under_way, silent, done])
     assert last is done and reports == 2
     assert [(c.order, c.about) for c in requests] == [(CommandKind.STOP, 0)] * 3 + [(CommandKind.NONE, 4)] * 2
+    silent_now, other_life = Reply(0, False, "nobody answers there", silent=True), Reply(0, False, "is for another life")
+    assert words(followed(CommandKind.ARM, [under_way, silent_now], looks=1)[0]) == (
+        "not known whether it is done: nobody answers there"
+    )
+    assert words(followed(CommandKind.ARM, [under_way, silent_now, under_way], looks=2)[0]) == "not done within 5 s"
+    assert words(followed(CommandKind.ARM, [under_way, other_life])[0]) == (
+        "not known whether it is done: the station knows nothing of it any more (is for another life)"
+    )
     assert followed(CommandKind.ARM, [silent])[:1] == (silent,)
     assert followed(CommandKind.STOP, [silent, silent], looks=1)[0] is silent
     assert followed(CommandKind.ARM, [under_way, under_way], looks=1)[0] is under_way

@@ -11,3 +11,7 @@ TILTED = CAMERA.model_copy(
         "distortion": (-0.25, 0.08, 0.001, -0.0015, -0.01),
     }
 )
+
+ASLANT = CAMERA.model_copy(
+    update={"position_m": (0.0, 0.0, -2.0), "rotation_rad": (0.0, -0.8726646, 0.0), "distortion": (0.0,) * 5}
+)  # along +x, 50 degrees from the vertical: places more than 1.7 m behind its foot are behind its lens

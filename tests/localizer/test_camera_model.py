@@ -13,7 +13,8 @@ from shoal.config.experiment import load_experiment
 from shoal.config.perception import Camera
 from shoal.errors import ConfigError
 from shoal.frames import Array
-from tests.localizer.cameras import CAMERA, TILTED
+from sim_bridge.camera.optics import project
+from tests.localizer.cameras import ASLANT, CAMERA, TILTED
 
 CAMERAS = pytest.mark.parametrize("camera", [CAMERA, TILTED], ids=["pool", "tilted"])
 
@@ -100,13 +101,27 @@ def test_tangent_is_the_derivative(camera: Camera, x: float, y: float, depth_m: 
         assert tangent.jacobian[:, column] == pytest.approx(moved / (du + dv + dz), abs=2e-5)
 
 
+def test_points_behind_the_lens_have_no_pixel() -> None:
+    """They would have mirrored ones, some of them in the picture. The simulator's camera, written without ours, agrees."""
+    points = np.random.default_rng(1).uniform([-6.0, -4.0, -2.5], [6.0, 4.0, 1.2], (3000, 3))
+    pixels, expected = RefractiveCamera(ASLANT).pool_to_pixel(points), project(ASLANT, points)
+    behind = np.isnan(expected[:, 0])
+    assert 500 < behind.sum() < 2500 and (np.isnan(pixels).any(axis=1) == behind).all()
+    assert pixels[~behind] == pytest.approx(expected[~behind], rel=1e-6, abs=1e-6)
+    level = ASLANT.model_copy(update={"rotation_rad": (0.0, 0.0, 0.0)})
+    for place in (level.position_m, np.add(level.position_m, [1.0, 0.0, 0.0])):  # in the lens, and beside it
+        assert np.isnan(RefractiveCamera(level).pool_to_pixel(np.array(place))).all()
+
+
 def test_no_points_is_no_trouble() -> None:
     assert RefractiveCamera(CAMERA).linearize([], []) == []
 
 
-def test_an_experiment_whose_lens_cannot_be_undone_is_refused() -> None:
-    """r (1 - 0.5 r^2) turns back at r = 0.82, which this wide picture reaches: pixels beyond have no place in the pool."""
-    settings = ["camera.focal_px=[600.0, 600.0]", "camera.distortion=[-0.5, 0.0, 0.0, 0.0, 0.0]"]
-    with pytest.raises(ConfigError, match=r"pool: camera\.distortion = .* cannot be undone at the picture's edge"):
+@pytest.mark.parametrize("distortion", ["[-0.5, 0.0, 0.0, 0.0, 0.0]", "[-0.576, -0.695, 0.0, 0.0, 0.743]"])
+def test_an_experiment_whose_lens_cannot_be_undone_is_refused(distortion: str) -> None:
+    """r (1 - 0.5 r^2) turns back at r = 0.82, which this wide picture reaches: pixels beyond have no place in the pool. With
+    k3 it turns back twice, and all is well again at the edge."""
+    settings = ["camera.focal_px=[598.0, 598.0]", f"camera.distortion={distortion}"]
+    with pytest.raises(ConfigError, match=r"pool: camera\.distortion = .* cannot be undone in all of the picture"):
         with_camera(load_experiment("pool", settings), "")
     with_camera(load_experiment("pool"), "")  # as it is shipped

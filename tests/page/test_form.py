@@ -156,7 +156,9 @@ def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, 
     tile(page, two).get_by_role("button").click(modifiers=["Shift"])
     panel = page.get_by_label(f"Robots {one}, {two}")
     expect(panel).to_be_visible()
-    panel.get_by_role("button", name="Hold 2").click()
+    assert page.evaluate("getSelection().toString()") == "", "Shift takes a robot in, and marks no text"
+    expect(panel.get_by_role("button", name="Hold 2", exact=True)).to_have_count(0)  # that is the button of robot 2 alone
+    panel.get_by_role("button", name="Hold these 2").click()
     expect(page.locator(".given li")).to_have_count(2)
     assert desk.orders == [CommandKind.HOLD, CommandKind.HOLD] and sorted(desk.robots_asked) == sorted([one, two])
 

@@ -58,7 +58,7 @@ def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
         expect(button(page, "Silence")).to_be_visible()
 
 
-def test_the_same_notice_of_many_robots_is_one_line(browser: Browser) -> None:
+def test_a_note_about_many_robots_stands_there_once(browser: Browser) -> None:
     with lone_station(browser, load_experiment("fleet-20")) as desk:
         page = desk.page
         desk.preflight = tuple(Finding(robot, "gone", "critical", True, "not heard", "") for robot in (1, 2, 5, 6, 7, 8))

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from groundstation.mission.state_machine import MissionState
-from groundstation.telemetry import Finding
+from groundstation.telemetry import Finding, RobotView
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.messages import (
@@ -169,6 +169,31 @@ def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> No
         panel.get_by_role("button", name=re.compile("^Send robot 2 to .* m$")).click()
         expect(page.locator(".given")).to_contain_text("go 2 sent")
         assert (desk.orders[-1], desk.only, len(desk.via)) == (CommandKind.GO, 2, 1)
+
+
+def test_a_second_click_does_not_put_a_robot_back_into_the_water(browser: Browser) -> None:
+    """Somebody holds the robot in his hands: a press that comes twice must not let the next start arm it."""
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.DISARMED), time.time_ns(), 2)
+        tile(page, 2).get_by_role("button").click()
+        expect(button(page, "2 is back in")).to_be_disabled()
+        box = button(page, "2 is out of the water").bounding_box()
+        assert box is not None
+        page.mouse.click(box["x"] + 9.0, box["y"] + 9.0)
+        expect(page.locator(".given")).to_contain_text("out 2 sent")
+        view = RobotView(RobotState(mode=Mode.DISARMED), 0.0, out=True)
+        desk.own_status = replace(desk.own_status, views={2: view})
+        expect(button(page, "2 is back in")).to_be_enabled()
+        page.mouse.click(box["x"] + 9.0, box["y"] + 9.0)
+        page.wait_for_timeout(500)
+        assert desk.orders == [CommandKind.OUT]
+        expect(button(page, "Arm 2")).to_be_disabled()
+        button(page, "2 is back in").click()
+        expect(page.locator(".given")).to_contain_text("back-in 2 sent")
+        assert desk.orders == [CommandKind.OUT, CommandKind.BACK_IN]
 
 
 def asked_of(desk: FakeStation) -> tuple[float, ...]:

@@ -96,7 +96,8 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
         thread.join()
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
         "thruster board: /dev/none: not there; is the board plugged in, and powered?",
-        "told to stop; neutral and disarm sent to the thruster board, which has not said within 0.25 s that it is disarmed",
+        "told to stop; neutral and disarm may not have reached the thruster board (/dev/none: not there; is the board plugged "
+        "in, and powered?), which has not said within 0.25 s that it is disarmed",
     ]
 
 

@@ -1,7 +1,14 @@
 """The stop's command line: whatever is left of it after what cannot be used was left out can be parsed."""
 
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
+import pytest
 import typer
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,3 +37,24 @@ def test_no_line_keeps_a_stop_from_being_sent(words: list[list[str]]) -> None:
     group.commands[NAME].make_context(NAME, arguments)
     kept, complaints = usable_arguments(arguments)
     assert len(kept) + len(complaints) <= 2 * len(arguments)
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("words", [["stop"], ["mission", "hold"]], ids=["stop", "hold"])
+def test_a_person_who_waits_no_longer_is_told_that_nobody_has_heard(tmp_path: Path, words: list[str]) -> None:
+    """Something listens at the station's address, and says nothing."""
+    tmp_path.chmod(0o700)
+    private = {"SHOAL_RUNTIME_DIR": str(tmp_path)}  # another station of this machine is none of this terminal's
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        silent.settimeout(120.0)
+        address = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+        command = [sys.executable, "-P", "-m", "groundstation", *words, "--station", address, "--wait", "60"]
+        terminal = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | private)
+        try:
+            with silent.accept()[0]:  # it tries to reach the station
+                terminal.send_signal(signal.SIGINT)
+                _, errors = terminal.communicate(timeout=60.0)
+        finally:
+            terminal.kill()
+            terminal.wait()
+    assert terminal.returncode == 130 and "NOT HEARD" in errors and "goes on with it" not in errors

@@ -21,8 +21,8 @@ from shoal.bus.connection_diagnostics import trouble_reaching
 from shoal.bus.endpoint import FLOOD, Endpoint
 from shoal.bus.key_ring import Keys, common_name
 from shoal.bus.network import endpoint
-from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.errors import Unreached
 from shoal.messages import messages, topics
 from shoal.messages.messages import Command, CommandKind, Reply
 from shoal.messages.topics import Role, Topic

@@ -213,6 +213,18 @@ def test_gains_for_a_next_lap_that_never_comes_are_refused(progress_s: float, mo
     assert fleet.tuner.status().stage is GainStage.IDLE
 
 
+@pytest.mark.parametrize(("before_s", "lap"), [(START_IN_S + 0.1, 1), (START_IN_S - 0.1, 2)])
+def test_a_lap_that_begins_before_the_robots_can_change_is_not_the_next_one(before_s: float, lap: int) -> None:
+    fleet = TunedFleet()
+    begins_s = LAPS.next_s(fleet.robots[1].trajectory_s)
+    for number in fleet.robots:
+        fleet.robots[number] = replace(fleet.robots[number], trajectory_s=begins_s - before_s)
+    assert LAPS.lap_s is not None and fleet.request(next_lap=True) == ""
+    fleet.step(0.3)
+    at_s = {command.trajectory_s for _, command in fleet.robots[2].got if command.order is CommandKind.ADOPT}
+    assert at_s == {begins_s + (lap - 1) * LAPS.lap_s}
+
+
 def test_a_path_without_laps_has_no_next_one() -> None:
     assert GainUpdater(EXPERIMENT).request({KEY: VALUE}, {}, 0, {}, FlownLaps(None)) == "this path has no laps"
 

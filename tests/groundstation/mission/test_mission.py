@@ -141,7 +141,7 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     assert run.at(MissionState.DONE)
 
 
-def test_time_zero_of_a_flight_stays_when_it_is_held_and_resumed_and_is_new_with_a_new_start() -> None:
+def test_time_zero_of_a_flight_stays_when_it_is_held_resumed_and_brought_home_and_is_new_with_a_new_start() -> None:
     run = MissionRun(automatic=False, settings=["duration_s=60"])
     assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(1.0)
@@ -152,6 +152,12 @@ def test_time_zero_of_a_flight_stays_when_it_is_held_and_resumed_and_is_new_with
         run.step(1.0)
         assert run.mission.began_ns == began_ns, order
     assert run.at(MissionState.RUNNING)
+    for order in (CommandKind.DISARM, CommandKind.RETURN):
+        assert run.mission.request(order, run.fleet(), run.now_ns) == ""
+        run.step(1.0)
+    run.mission.planned(replace(next_leg(run, 0.05), is_return=True), run.fleet(), run.now_ns)
+    run.step(1.0)
+    assert run.mission.state is MissionState.RETURNING and run.mission.began_ns == began_ns, "the report counts from it too"
     for order in (CommandKind.DISARM, CommandKind.START):
         assert run.mission.request(order, run.fleet(), run.now_ns) == ""
         run.step(1.0)
@@ -905,7 +911,7 @@ def test_a_run_disarmed_by_an_operator_does_not_succeed() -> None:
     run.robots[2].refuses = frozenset()
     run.step(0.5)
     assert run.at(MissionState.CANCELLED)
-    assert run.mission.reason == "a person asked for DISARM when RUNNING"
+    assert run.mission.reason == "a person asked for disarm while running"
     assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
     run.step(0.5)
     assert run.at(MissionState.CANCELLED)
@@ -1240,7 +1246,7 @@ def test_disarm_when_all_is_over_keeps_the_reason() -> None:
     run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns)
     run.step(1.0)
     assert (run.mission.state, run.mission.reason) == (MissionState.CANCELLED, reason)
-    assert "DISARM when RUNNING" in reason
+    assert "disarm while running" in reason
 
 
 def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() -> None:

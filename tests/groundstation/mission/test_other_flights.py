@@ -7,7 +7,7 @@ import pytest
 
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
-from groundstation.planning.prioritized_planning import never
+from groundstation.planning.feasibility import never
 from groundstation.planning.segment import PlanSegment, first_segment, sample
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
 from shoal.config.loader import parse_toml

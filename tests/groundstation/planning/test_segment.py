@@ -144,7 +144,7 @@ def test_no_way_round_is_refused_with_the_reason() -> None:
 def test_an_obstacle_on_the_path_is_reported_with_robot_place_and_time() -> None:
     segment = first_segment(BLOCKED)
     contact = first_contact(BLOCKED, segment, 14.0, 60.0, BALL)
-    assert contact.startswith("at (1.00, 0.10) m, on the path of robot 3, in 2")
+    assert contact.startswith("something lies at (1.00, 0.10) m, on the path of robot 3, in 2")
     assert first_contact(BLOCKED, segment, 14.0, 20.0, BALL) == ""  # later
     assert first_contact(BLOCKED, segment, 60.0, 75.0, BALL) == ""  # behind
     assert first_contact(BLOCKED, segment, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
@@ -210,10 +210,11 @@ def test_robots_on_their_own_ways_look_out_for_lost_ones_also_where_no_path_is_c
         monitor = ObstacleMonitor(load_experiment("pool", settings))
         monitor.update(obstacles, 0)
         is_return = PlanSegment({1: trajectory}, trajectory, 20.0, is_return=True)
-        assert "at (1.00, 0.00) m" in monitor.first_contact(is_return, 0.0, [lost], 1_000_000_000)
-        assert ("at (1.50, 0.00) m" in monitor.first_contact(is_return, 0.0, [], 1_000_000_000)) == sees_things
+        assert monitor.first_contact(is_return, 0.0, {5: lost}, 1_000_000_000).startswith("robot 5 lies at (1.00, 0.00) m")
+        thing = monitor.first_contact(is_return, 0.0, {5: RobotView()}, 1_000_000_000)
+        assert thing.startswith("something lies at (1.50, 0.00) m") == sees_things
         in_formation = PlanSegment({1: trajectory}, trajectory, 20.0)
-        assert monitor.first_contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
+        assert monitor.first_contact(in_formation, 0.0, {5: lost}, 1_000_000_000) == ""  # a circle: they give way
 
 
 def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:

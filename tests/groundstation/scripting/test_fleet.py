@@ -172,9 +172,13 @@ def test_live_states_are_the_newest_and_a_silent_robot_is_told(fleet: ConnectedF
     assert fleet.mission() == "RUNNING"
 
 
-def test_waiting_ends_with_the_event_the_state_or_the_time(fleet: ConnectedFleet, station: PlayedStation) -> None:
+def test_waiting_ends_with_the_event_the_state_or_the_time(
+    fleet: ConnectedFleet, station: PlayedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("groundstation.scripting.fleet.FRESH_S", 60.0)
     station.says("robot 1 is armed")
     station.says("mission: waiting for the fleet: robot 2: not heard")
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), 10**18)
     assert fleet.wait_event("armed", timeout_s=1.0).source == "groundstation"
     with pytest.raises(NotHeard, match="robot 2: not heard"):
         fleet.wait_ready(timeout_s=0.05)
@@ -182,9 +186,9 @@ def test_waiting_ends_with_the_event_the_state_or_the_time(fleet: ConnectedFleet
     fleet.wait_ready(timeout_s=1.0)
     with pytest.raises(NotHeard, match="no event with 'landed'"):
         fleet.wait_event("landed", timeout_s=0.05)
-    with pytest.raises(NotHeard, match="not heard"):
+    with pytest.raises(NotHeard, match="it is WAITING"):
         fleet.wait_mission("DONE", timeout_s=0.05)
-    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="DONE"), 0)
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="DONE"), 10**18)
     assert fleet.wait_mission("FAILED", "DONE", timeout_s=1.0) == "DONE"
 
 
@@ -196,6 +200,26 @@ def test_a_mission_that_was_heard_long_ago_is_not_waited_for_with_success(
     time.sleep(0.1)
     with pytest.raises(NotHeard):
         fleet.wait_mission("DONE", timeout_s=0.05)
+
+
+def test_a_fleet_is_ready_by_the_word_of_the_station_that_is_heard_now(
+    hub: MemoryHub, fleet: ConnectedFleet, station: PlayedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that was killed has said that the fleet is ready; the next one has not said so yet."""
+    monkeypatch.setattr("groundstation.scripting.fleet.FRESH_S", 0.05)
+    station.says("mission: fleet ready")
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), 10**18)  # by the wall clock
+    fleet.wait_ready(timeout_s=0.05)
+    time.sleep(0.1)
+    with pytest.raises(NotHeard, match="nothing heard"):
+        fleet.wait_ready(timeout_s=0.05)
+    again = Bus(MemoryTransport(hub))
+    again.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), 10**18)
+    with pytest.raises(NotHeard, match="nothing heard"):
+        fleet.wait_ready(timeout_s=0.0)
+    again.publish(topics.EVENT, Event(2, "groundstation", "mission: fleet ready"), 10**18)
+    again.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), 10**18)
+    fleet.wait_ready(timeout_s=0.0)
 
 
 def test_a_condition_that_hears_nothing_does_not_hold(fleet: ConnectedFleet, station: PlayedStation) -> None:

@@ -14,15 +14,16 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.station import process
 from groundstation.station.process import EndOfRun, StationOptions, TimeOwner
 from groundstation.station.station import Station
+from groundstation.telemetry import RobotView
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
-from shoal.messages.messages import Command, CommandKind, RobotState, Tick
+from shoal.messages.messages import Command, CommandKind, Mode, RobotState, Tick
 from shoal.runtime.output_files import PAGE_OPEN
-from shoal.runtime.runtime import Stop, log
+from shoal.runtime.runtime import Stop, WallClock, log
 from sim_bridge.lockstep.clock import LockstepClock
 
 POOL = load_experiment("pool")
@@ -110,6 +111,22 @@ def test_a_persons_interruption_is_told_and_ends_the_run(
     assert run.station is not None and run.station.ended is interrupted
     assert (process.INTERRUPTED in caplog.messages) is interrupted
     assert any(message.startswith("mission waiting") for message in caplog.messages) or "mission" in caplog.text
+
+
+@pytest.mark.parametrize(("mode", "is_told"), [(Mode.HOLDING, True), (Mode.DISARMED, False)])
+def test_a_station_that_leaves_names_the_robots_that_it_leaves_with_power(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, mode: Mode, is_told: bool
+) -> None:
+    """They did not do in time what it told them at its end."""
+    run = _Run(tmp_path)
+    next(run.steps)
+    assert run.station is not None
+    run.station.clock = WallClock()  # as of robots that live on
+    run.station.views = {1: RobotView(RobotState(mode), 0.1), 2: RobotView(RobotState(), 0.1)}
+    run.stop.request()
+    run.verdict()
+    words = f"robot 1 may still have power: without this station it is neutral after {POOL.safety.station_neutral_s:g} s"
+    assert (words in caplog.messages) is is_told
 
 
 def test_an_open_network_is_told_once_more_when_the_log_has_begun(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -21,7 +21,7 @@ from groundstation.mission.command_dispatcher import RETRY_S
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.mission import Mission
 from groundstation.mission.plan_manager import FlownPath, PlanRequest
-from groundstation.mission.roster import Leader
+from groundstation.mission.roster import LED, TAKEN_OUT, Leader
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
@@ -38,6 +38,7 @@ from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
+    WHOLE_FLEET,
     BoardReading,
     CameraHealth,
     Command,
@@ -57,7 +58,6 @@ from shoal.messages.messages import (
     Track,
     Trajectory,
 )
-from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.runtime import Stop, WallClock, run_steps, wait
 from shoal.runtime.version import code
 from sim_bridge.lockstep.clock import LockstepClock
@@ -129,6 +129,24 @@ def test_a_radio_breaks_only_where_the_simulator_owns_time(tmp_path: Path) -> No
         assert received is not None and (received.message.what, received.message.for_s) == ("thruster 1/3 dead", 5.0)
         station.clock = LockstepClock()
         assert station.request(CommandKind.FAULT, text="radio 1 dead")[0] == ""
+
+
+@pytest.mark.parametrize(("why", "level"), [(LED, logging.INFO), (TAKEN_OUT, logging.INFO), ("not heard", logging.WARNING)])
+def test_a_formation_without_a_robot_that_a_person_took_is_no_fault_of_the_run(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, why: str, level: int
+) -> None:
+    """The report counts warnings as faults: a flight in which a person drove a robot would have failed for it."""
+    caplog.set_level("INFO", "shoal")
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.modes = {1: Mode.TRACKING, 2: Mode.HOLDING}
+        station.mission.state = MissionState.RUNNING
+        station.mission.roster.mark_lost(2, why)
+        fleet.until(station, lambda: station.mission.state is MissionState.DEGRADED)
+        station.cycle(station.clock.now_ns())
+        lines = {record.levelno for record in caplog.records if record.message.startswith("mission: running without a robot")}
+        assert lines == {level}
 
 
 def test_the_heartbeat_tells_when_the_flight_began(tmp_path: Path) -> None:
@@ -488,6 +506,15 @@ def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
         assert not refused.accepted and refused.outcome is None
         nothing = station.on_operator_command(Header(9, 4, 0), Command(CommandKind.NONE, WHOLE_FLEET))
         assert not nothing.accepted
+
+
+def test_a_stop_is_a_stop_whatever_else_the_command_carries(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        for extra in ({"about": 1}, {"tuning": gains_command([]).tuning}):
+            station.mission.state = MissionState.WAITING
+            command = Command(CommandKind.STOP, WHOLE_FLEET, **extra)
+            assert station.on_operator_command(Header(9, 1, 0), command).accepted
+            assert station.mission.state is MissionState.STOPPED
 
 
 def test_a_draft_is_planned_as_its_request_would_be_and_refused_for_the_same_reason(tmp_path: Path) -> None:

@@ -183,7 +183,10 @@ def _entries(places: list[tuple[float, float, float]]) -> list[dict[str, object]
         ({"pool_m": [0.0, 0.0, 1.2]}, r"pool_m z = 1\.2 is outside the pool \(allowed: -1\.5 to 1; z is positive under water"),
         ({"pixel_px": None}, "points.1: needs either pixel_px or marker_id"),
         ({"marker_id": 4}, "points.1: needs either pixel_px or marker_id"),
-        ({"pixel_px": None, "marker_id": 50}, r"points\.1\.marker_id = 50: .*less than or equal to 49"),
+        (
+            {"pixel_px": None, "marker_id": 50},
+            r"points: 'point 1': marker_id = 50: 4x4_50 has no such marker \(allowed: 0 to 49\)",
+        ),
         ({"name": "point 0"}, "points: name = 'point 0' is used twice"),
         ({"pool_m": list(RIM[0])}, r"points: pool_m = \(-1\.6, -1\.2, -0\.1\) is used twice"),
         ({"pixel_px": [0.0, 50.0]}, r"points: pixel_px = \(0\.0, 50\.0\) is used twice"),
@@ -198,6 +201,15 @@ def test_a_points_file_that_cannot_be_used(change: dict[str, object], complaint:
     entries[1] = {key: value for key, value in (entries[1] | change).items() if value is not None}
     with pytest.raises(ConfigError, match=rf"^points\.toml: .*{complaint}" if "^" not in complaint else complaint):
         _file(entries)
+
+
+def test_a_points_marker_may_be_any_of_its_family() -> None:
+    """As `localizer print-markers` draws them."""
+    entries = _entries(RIM)
+    del entries[1]["pixel_px"]
+    assert _file([entries[0], entries[1] | {"marker_id": 586}, *entries[2:]], marker_family="apriltag_36h11").points
+    with pytest.raises(ConfigError, match=r"marker_id = 587: apriltag_36h11 has no such marker \(allowed: 0 to 586\)"):
+        _file([entries[0], entries[1] | {"marker_id": 587}, *entries[2:]], marker_family="apriltag_36h11")
 
 
 def test_four_points_at_least() -> None:

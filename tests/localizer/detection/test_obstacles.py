@@ -26,6 +26,7 @@ from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.camera.scene import water_colour
+from tests.localizer.cameras import ASLANT
 from tests.localizer.scene import Pixels, bayer
 
 pytestmark = pytest.mark.long
@@ -203,6 +204,20 @@ def test_a_robot_nobody_knows_of_is_an_obstacle() -> None:
     assert np.linalg.norm(centres - last.robots[1, :2], axis=1).min(initial=9.0) < RADIUS_M
 
 
+def test_a_robot_behind_a_camera_that_looks_aslant_hides_nothing_in_its_picture() -> None:
+    """Of several cameras one is told of robots that another one sees."""
+    pool = EXPERIMENT.pool.model_copy(update={"size_m": (8.0, 4.0, 1.2)})
+    experiment = EXPERIMENT.model_copy(update={"camera": ASLANT, "pool": pool})
+    frames = np.random.default_rng(1).integers(80, 90, (80, 960, 1280), dtype=np.uint8)
+    for place in np.linspace([-3.7, 0.0, 0.3], [-1.9, 0.0, 0.3], 12):
+        hidden, shaded = ObstacleDetector(experiment)._robots(place[None])  # what it hides shows in no result
+        assert not hidden.any() and shaded.mean() < 0.05, place
+    watcher = ObstacleDetector(experiment)
+    for k, frame in enumerate(frames):
+        look = watcher.step(frame, k * 100_000_000, np.array([[-2.04, 0.0, 0.3]]))
+    assert look is not None and look.watched > 0.9 and not look.blind
+
+
 def test_small_thing_is_no_obstacle() -> None:
     small = {"cork": Intruder(*ball(0.03), (40, 40, 200), (0.9, -0.7))}
     assert not any(look.obstacles.ids for look in watch(LEARNT_S + 2.0, standing, small))
@@ -249,6 +264,23 @@ def test_when_a_lamp_is_switched_it_is_blind_and_goes_on_telling_what_was_there(
     assert not last.blind and last.watched > 0.8 and len(last.ids) == 2
     assert last.unseen_s[last.ids.index(resting)] > 6.0
     assert np.linalg.norm(last.velocity[1 - last.ids.index(resting)] - DRIFTING.velocity) < 0.04
+
+
+def test_after_an_error_it_is_blind_and_goes_on_telling_what_was_there() -> None:
+    renderer, watcher, random, looks = _renderer(), ObstacleDetector(EXPERIMENT), np.random.default_rng(1), list[Obstacles]()
+    fault = round((LEARNT_S + 1.0) / LOOK_S)
+    for k in range(fault + 5):
+        frame = renderer.render(standing(0.0), np.zeros((2, 4)), k * LOOK_S, k)
+        frame = draw(frame, STILL, k * LOOK_S - LEARNT_S, k * LOOK_S, random) if k * LOOK_S >= LEARNT_S else frame
+        if k == fault:
+            watcher, look = watcher.begun_anew(k * 100_000_000)
+        else:
+            look = watcher.step(frame, k * 100_000_000, standing(0.0)[:, :3])  # type: ignore[assignment]
+        looks.append(look)
+    before = looks[fault - 1]
+    assert len(before.ids) == 1 and not before.blind
+    for k, look in enumerate(looks[fault:], start=1):
+        assert "failed" in look.blind and look.ids == before.ids and look.unseen_s == pytest.approx([k * LOOK_S])
 
 
 def test_when_the_camera_is_bumped_the_pool_never_looks_empty() -> None:

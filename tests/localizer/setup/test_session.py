@@ -313,6 +313,25 @@ def test_a_file_that_somebody_else_changed_is_not_written_over(file: Path) -> No
     assert saved.duration_s == 20.0 and len(saved.camera.masks_px) == 1
 
 
+@pytest.mark.parametrize("content", [b"duration_s = ", b"duration_s = -5.0", b"\xff\xfe", None])
+def test_a_file_that_is_no_experiment_is_not_taken_up(file: Path, content: bytes | None) -> None:
+    """Somebody is half-way through a change, or has moved it away. The page goes on, with what the file held before."""
+    session = masked(file)
+    before = session.state(1)
+    if content is None:
+        file.unlink()
+    else:
+        file.write_bytes(LAB.encode().replace(b"duration_s = 10.0", content))
+    for request in ("reload", "save"):
+        with pytest.raises(ConfigError, match=r"lab.toml: "):
+            do(session, request)
+        assert session.state(1) == before
+    file.write_text(LAB, encoding="utf-8")
+    do(session, "reload")
+    do(session, "save")
+    assert len(load_experiment(str(file)).camera.masks_px) == 1
+
+
 def test_a_full_disk_is_told_and_the_work_is_still_there(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session = masked(file)
 
@@ -443,6 +462,51 @@ def test_a_pose_by_the_lens_of_before_is_not_taken(file: Path, monkeypatch: pyte
     with pytest.raises(ConfigError, match="another lens was found meanwhile"):
         do(session, "fit-pose")
     assert "focal_px" in session.state(1)["changed"] and "position_m" not in session.state(1)["changed"]
+
+
+@pytest.mark.parametrize(
+    ("request_name", "arguments"),
+    [
+        ("point", {"name": "z", "pool_m": [0.2, 0.2, 0.0], "pixel_px": [250.0, 200.0]}),
+        ("remove-point", {"name": "mark 12"}),
+        ("point", {"name": "mark 12", "pool_m": [0.0, 0.0, 0.0], "pixel_px": [250.0, 200.0]}),
+    ],
+    ids=["one more", "one less", "another place"],
+)
+def test_a_pose_is_told_by_the_points_that_it_is_from(
+    true_file: Path, monkeypatch: pytest.MonkeyPatch, request_name: str, arguments: dict[str, Any]
+) -> None:
+    """Another page changes the points while the pose is being found."""
+    session, fitted = begin(true_file), fit_pose
+    show(session, pool_picture())
+    survey(session)
+    do(session, "fit-pose")
+    report = session.state(1)["survey"]["report"]
+
+    def late(*given: Any) -> Any:
+        result = fitted(*given)
+        do(session, request_name, **arguments)
+        return result
+
+    monkeypatch.setattr("localizer.setup.survey_step.fit_pose", late)
+    do(session, "fit-pose")
+    state = session.state(1)["survey"]
+    assert state["report"] == report
+    assert {row["name"] for row in state["residuals"]} == {point["name"] for point in state["points"]} - {arguments["name"]}
+
+
+def test_a_point_may_have_any_marker_of_the_experiments_family(file: Path) -> None:
+    point = {"name": "a", "pool_m": [0.0, 0.0, 0.0], "marker_id": 120}
+    with pytest.raises(ConfigError, match=r"'a': marker_id = 120: 4x4_50 has no such marker"):
+        do(begin(file), "point", **point)
+    file.write_text(LAB + '\n[localizer]\nmarker_family = "apriltag_36h11"\n', encoding="utf-8")
+    session = begin(file)
+    do(session, "point", **point)
+    for k, place in enumerate([[0.4, 0.0, 0.0], [0.4, 0.3, 0.0], [-0.4, 0.3, 0.0]]):
+        do(session, "point", name=str(k), pool_m=place, pixel_px=[100.0 * k + 50.0, 90.0 + 30.0 * (k % 2)])
+    show(session, pool_picture())
+    with pytest.raises(ConfigError, match="marker_id = 120: 0 markers of that id are in the picture"):
+        do(session, "fit-pose")
 
 
 def test_no_number_is_no_request(file: Path) -> None:

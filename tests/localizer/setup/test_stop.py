@@ -13,8 +13,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, Outcome, Progress, Reply
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Progress, Reply
 
 pytestmark = pytest.mark.long
 

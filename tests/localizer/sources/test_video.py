@@ -118,6 +118,15 @@ def test_a_limit_counts_numbers_and_damage_behind_it_does_not(tmp_path: Path) ->
         assert [p.number for p in video.pictures(10)] == list(range(10)) and video.damage(10) == ""
 
 
+def test_a_limit_within_a_damaged_part_is_one_too(tmp_path: Path) -> None:
+    with closing(VideoReader(_spoil(_motion_jpeg(tmp_path / "film.avi"), 0.5, 0.08))) as video:
+        damaged = sorted({*range(COUNT)} - {picture.number for picture in video.pictures()})
+    for limit in range(damaged[0], damaged[-1] + 2):
+        with closing(VideoReader(tmp_path / "film.avi")) as video:
+            assert [p.number for p in video.pictures(limit)] == list(range(damaged[0]))
+            assert bool(video.damage(limit)) is (limit > damaged[0])
+
+
 def test_a_phones_turned_video_keeps_the_sensors_rows(tmp_path: Path) -> None:
     """As a picture with the same note does: a lens is calibrated for one of both."""
     path = _h264(tmp_path / "film.mp4")

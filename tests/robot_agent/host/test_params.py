@@ -41,7 +41,7 @@ def test_an_error_that_comes_before_the_value_is_told_as_what_it_is(code: int, s
 @pytest.mark.parametrize("robot", [1, None])
 def test_an_autopilots_parameters_are_left_alone(robot: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
     there = Autopilot(kind=dialect.MAV_AUTOPILOT_PX4)
-    monkeypatch.setattr(params, "open_link", lambda link, secured: there)
+    monkeypatch.setattr("shoal.mavlink.board_port.open_link", lambda link, secured: there)
     with (
         pytest.raises(ConfigError, match=r"autopilot 12 \(PX4\) is there"),
         params.talk("udp:127.0.0.1:9", robot, None, False),
@@ -78,7 +78,7 @@ class BoardInMemory(Link):
 @pytest.fixture
 def there(monkeypatch: pytest.MonkeyPatch) -> BoardInMemory:
     board = BoardInMemory()
-    monkeypatch.setattr(params, "open_link", lambda link, secured: board)
+    monkeypatch.setattr("shoal.mavlink.board_port.open_link", lambda link, secured: board)
     monkeypatch.setattr(params, "WITHIN_S", 0.5)
     monkeypatch.setattr(params, "AGAIN_S", 0.0)
     return board
@@ -163,5 +163,5 @@ def test_a_link_without_a_board_and_one_of_another_robot_are_told(
     monkeypatch: pytest.MonkeyPatch, there: BoardInMemory
 ) -> None:
     assert "heard: the board of robot 1, not that of robot 2" in _refused("list", "--robot", "2")
-    monkeypatch.setattr(params, "open_link", lambda link, secured: BoardInMemory(silent=True))
+    monkeypatch.setattr("shoal.mavlink.board_port.open_link", lambda link, secured: BoardInMemory(silent=True))
     assert "no board is heard (is it powered?)" in _refused("list")

@@ -53,6 +53,20 @@ def test_a_gyroscope_that_measures_another_turn_is_found(
     assert first_s < 20.0
 
 
+@pytest.mark.parametrize(("scale", "is_found"), [(1.0, False), (2.0, True)])
+def test_headings_between_two_samples_of_the_gyroscope_are_compared_with_the_turn_up_to_then(
+    scale: float, is_found: bool
+) -> None:
+    """Samples at 5 Hz, poses half way between them: a turn that is read at a sample is off by up to 0.1 rad."""
+    check, was_apart = GyroscopeCheck(), False
+    for k in range(100):
+        check.note_rate(scale * math.cos(0.2 * k), k * NS // 5)
+        if k:
+            check.note_heading(math.sin(0.2 * k - 0.1), k * NS // 5 - NS // 10)
+        was_apart |= check.apart_rad > 0.0
+    assert was_apart is is_found
+
+
 @pytest.mark.parametrize("flips", [0, 5])
 def test_a_right_gyroscope_passes_with_bias_and_scale_errors_and_with_headings_that_flip(flips: int) -> None:
     _, first_s = gyroscope(120.0, slalom, lambda r: 1.03 * r + 0.01, flips)

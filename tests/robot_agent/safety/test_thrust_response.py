@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from robot_agent.safety.thrust_response import ThrustResponse
+from robot_agent.safety.thrust_response import Standstill, ThrustResponse
 from shoal.config.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")
@@ -52,6 +52,15 @@ def fly(
             velocity = 0j
         place += velocity * FINE_S
     return held, turned, angle
+
+
+def test_thrust_that_lasts_may_be_balanced_and_is_no_evidence_any_more() -> None:
+    """A robot that stands in a current that has grown: what it gave at first is forgotten."""
+    standstill, pushed_m = Standstill(1.0), list[float]()
+    for k in range(400):
+        standstill.step(0j, 0.0, 0.0, 0.01 + 0j if k else 0j, 0.05)
+        pushed_m.append(standstill.pushed_m)
+    assert max(pushed_m) > 1e-3 and pushed_m[-1] < 0.01 * max(pushed_m)
 
 
 @pytest.mark.parametrize(("marker_deg", "rate_hz"), [(20.0, 20), (-57.0, 10), (90.0, 20), (180.0, 50)])

@@ -18,9 +18,9 @@ from shoal.bus import zenoh_transport
 from shoal.bus.bus import LOOK_AGAIN_S, Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
-from shoal.bus.transport import Presence, Unreached
+from shoal.bus.transport import Presence
 from shoal.bus.zenoh_transport import ZenohTransport
-from shoal.errors import ConfigError
+from shoal.errors import ConfigError, Unreached
 from shoal.messages import messages, topics
 from shoal.messages.codec import Header, decode, encode
 from sim_bridge.sil.ports import free_port
@@ -153,7 +153,7 @@ def test_an_order_is_answered_refused_or_reported_unanswered(make_bus: MakeBus) 
     assert commands[-1][1].trajectory is not None
     assert commands[-1][1].trajectory.eta.shape == (4000, 4)
     assert commands[-1][0].sequence > commands[-2][0].sequence
-    assert "no answer" in station.command(messages.Command(order.ARM, 2), 7, 0.2).reason
+    assert station.command(messages.Command(order.ARM, 2), 7, 20.0).reason == "nobody answers there"
 
 
 def test_presence_comes_and_goes(make_bus: MakeBus) -> None:

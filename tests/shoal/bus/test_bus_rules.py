@@ -1,5 +1,7 @@
 """The bus's own rules, at their edges and without a network: what it remembers, refuses, counts and lets wait."""
 
+import time
+
 import pytest
 
 from shoal.bus.bus import KEPT, SESSIONS, STOP_BYTES, Bus, Inbox
@@ -19,6 +21,7 @@ class _Wire(MemoryTransport):
         self.urgent: Urgent = lambda payload: False
         self.served: Answer = lambda payload, header: b""
         self.replies: list[bytes | None] = []
+        self.silent_s = 0.0  # for which a missing reply is waited for
         self.commands: list[Command] = []
 
     def serve(self, key: str, answer: Answer, urgent: Urgent) -> None:
@@ -29,7 +32,12 @@ class _Wire(MemoryTransport):
         self.commands.append(decode(Command, payload, "", ""))
         if self.replies:
             reply = self.replies.pop(0)
-            return lambda: reply
+
+            def answer() -> bytes | None:
+                time.sleep(self.silent_s if reply is None else 0.0)
+                return reply
+
+            return answer
         return super().ask(key, payload, header, timeout_s)
 
 
@@ -141,7 +149,23 @@ def test_an_answer_that_cannot_be_read_is_a_refusal_and_none_is_silence() -> Non
     wire.replies = [b"\xff", None]
     unread, silent = (bus.command(Command(CommandKind.ARM, 1), 0, 0.5) for _ in range(2))
     assert (unread.accepted, unread.silent) == (False, False) and "robot 1" in unread.reason
-    assert (silent.accepted, silent.silent, silent.reason) == (False, True, "no answer within 0.5 s")
+    assert (silent.accepted, silent.silent, silent.reason) == (False, True, "nobody answers there")
+
+
+def test_a_silence_is_told_from_a_place_where_nobody_answers() -> None:
+    """A network knows at once that nobody serves a key; one that serves it and says nothing takes all of the time."""
+    hub = MemoryHub()
+    (station, wire), (robot, _) = _bus(hub), _bus(hub)
+    robot.serve(1, lambda header, command: Reply(1, False))
+    wire.silent_s = 0.06
+    wire.replies = [None]
+    assert station.command(Command(CommandKind.ARM, 1), 0, 0.05).reason == "no answer within 0.05 s"
+    wire.replies = [encode(Reply(1, False, session=robot.session)), None]  # the second try, which names it
+    assert station.command(Command(CommandKind.ARM, 1), 0, 0.05).reason == "no answer within 0.05 s"
+    wire.silent_s = 0.0
+    assert station.command(Command(CommandKind.ARM, 2), 0, 60.0).reason == "nobody answers there"
+    station.unreachable = frozenset({3})
+    assert station.command(Command(CommandKind.ARM, 3), 0, 60.0).reason == "no answer within 60 s", "it has no radio"
 
 
 def test_the_second_try_names_the_process_that_answered_the_first() -> None:
@@ -153,7 +177,7 @@ def test_the_second_try_names_the_process_that_answered_the_first() -> None:
     assert station.command(Command(CommandKind.ARM, 1), 0, 0.5).accepted
     assert not station.command(Command(CommandKind.LOAD, 1), 0, 0.5).accepted, "refused, and not asked twice"
     assert [command.recipient for command in wire.commands[2:]] == [robot.session] * 2
-    assert "no answer" in station.command(Command(CommandKind.ARM, 2), 0, 0.5).reason
+    assert station.command(Command(CommandKind.ARM, 2), 0, 0.5).silent
     assert station.answer("shoal/robot/1/command", b"", b"") is None
     assert robot.answer("shoal/robot/1/command", b"\xff", b"") is not None
 

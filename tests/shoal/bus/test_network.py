@@ -24,9 +24,8 @@ from shoal.bus.connection_diagnostics import trouble_reaching
 from shoal.bus.endpoint import FLOOD, Endpoint, parse_address
 from shoal.bus.key_ring import Keys
 from shoal.bus.network import endpoint
-from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
-from shoal.errors import ConfigError
+from shoal.errors import ConfigError, Unreached
 from shoal.messages import topics
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.gate.strangers import Strangers

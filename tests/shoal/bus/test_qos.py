@@ -8,9 +8,8 @@ import zenoh
 
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.key_ring import Keys
-from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import RouterGate, ZenohTransport
-from shoal.errors import ConfigError
+from shoal.errors import ConfigError, Unreached
 from shoal.messages.topics import Qos
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually

@@ -608,6 +608,16 @@ def test_a_burst_is_never_from_the_future() -> None:
     assert measured_ns(agent, 3_001_300, 1200 * MS) == 1200 * MS
 
 
+def test_a_burst_that_a_board_says_again_is_not_younger() -> None:
+    """Its measuring has stopped, and it has told no clock by which that could be seen."""
+    agent, board = AgentLink(7), FarEnd(7)
+    for k in range(10):
+        agent.receive(burst(board, 5000), k * 50 * MS)
+    assert (agent.telemetry.board_ms, agent.telemetry.arrival_ns) == (5000, 0)
+    agent.receive(burst(board, 5050), 500 * MS)
+    assert (agent.telemetry.board_ms, agent.telemetry.arrival_ns) == (5050, 500 * MS)
+
+
 def test_while_the_boards_clock_is_not_known_well_a_burst_is_as_old_as_its_coming() -> None:
     assert measured_ns(AgentLink(7), 5000, 1234 * MS) == 1234 * MS
     assert measured_ns(synced(AHEAD_NS, 1000 * MS, trip_ns=40 * MS), 3_001_000, 1234 * MS) == 1234 * MS

@@ -7,9 +7,9 @@ from pymavlink.dialects.v20 import common as dialect
 from typer.testing import CliRunner
 
 from shoal.errors import ConfigError
+from shoal.mavlink import board_port
 from shoal.mavlink.board_port import Link
 from sim_bridge.__main__ import cli
-from sim_bridge.board_conformance import cli as conformance
 from sim_bridge.node import hil_board
 from tests.robot_agent.autopilot import Autopilot
 
@@ -33,7 +33,7 @@ def test_an_autopilot_is_left_alone(command: Callable[[], None], monkeypatch: py
     def opened(place: str, secured: bool = False, option: str = "") -> Link:
         return there
 
-    for module in (conformance, hil_board):
+    for module in (board_port, hil_board):
         monkeypatch.setattr(module, "open_link", opened)
     with pytest.raises(ConfigError, match=rf"{PLACE}: autopilot 12 \(PX4\) is there, no thruster board"):
         command()

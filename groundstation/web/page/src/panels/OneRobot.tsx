@@ -102,7 +102,7 @@ function Several({ state, ids }: { state: Snapshot; ids: number[] }) {
       <div class="orders">
         {ORDERS.map(({ order: name, text, modes }) => (
           <button key={name} type="button" class="order" disabled={!possible || fit(modes).length === 0} onClick={() => fit(modes).forEach((id) => order(name, [], id))}>
-            {text} {ids.length}
+            {text} these {ids.length}
           </button>
         ))}
       </div>
@@ -127,7 +127,7 @@ export function OneRobot() {
       <h2>Robot {robot.id} alone</h2>
       <div class="orders">
         {ORDERS.map(({ order: name, text, modes }) => (
-          <button key={name} type="button" class="order" disabled={!possible || !modes.includes(mode)} onClick={() => order(name, [], robot.id)}>
+          <button key={name} type="button" class="order" disabled={!possible || !modes.includes(mode) || (name === "arm" && out)} onClick={() => order(name, [], robot.id)}>
             {text} {robot.id}
           </button>
         ))}
@@ -141,16 +141,19 @@ export function OneRobot() {
         >
           Drive {robot.id}
         </button>
-        <SendButton robot={robot.id} possible={flies} />
         <button
           type="button"
           class="order"
-          disabled={!possible}
-          onClick={() => order(out ? "back-in" : "out", [], robot.id)}
-          title="Say whether a person has taken it out of the water: nobody keeps clear of it then, and no run counts on it"
+          disabled={!possible || out}
+          onClick={() => order("out", [], robot.id)}
+          title="A person has taken it out of the water: nobody keeps clear of it from now on, and no run counts on it"
         >
-          {robot.id} is {out ? "back in" : "out of"} the water
+          {robot.id} is out of the water
         </button>
+        <button type="button" class="order" disabled={!possible || !out} onClick={() => order("back-in", [], robot.id)} title="It is in the water again, and takes part">
+          {robot.id} is back in
+        </button>
+        <SendButton robot={robot.id} possible={flies} />
       </div>
       <Send robot={robot.id} possible={flies} />
       {drives && <Motion robot={robot} />}

@@ -101,6 +101,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
       data-robot={robot.id}
       data-mode={state?.mode ?? "NONE"}
       style={`--robot: ${robotColour(place)}`}
+      onMouseDown={(event) => event.shiftKey && event.preventDefault()} // else the browser marks the text between two clicks
       onClick={(event) => choose(robot.id, event.shiftKey || event.ctrlKey || event.metaKey)} // anywhere on it, and by its button for keys
     >
       <button type="button" class="name" aria-pressed={chosen} title="Choose it; with Shift or Ctrl, choose several">

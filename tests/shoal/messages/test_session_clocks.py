@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from groundstation.logs.session_clocks import ALIKE_NS, OLD_LINE_NS, WINDOW_NS, SessionClocks, held_ns, is_old_line
 from shoal.messages import topics
 from shoal.messages.messages import Event, LocalizerStatus, Obstacles, Plan, Pose, Preview, RobotState, StepTiming, Track
+from shoal.messages.session_clocks import ALIKE_NS, OLD_LINE_NS, WINDOW_NS, SessionClocks, held_ns, is_old_line
 from shoal.messages.topics import Topic
 
 MS = 1_000_000
