@@ -266,6 +266,13 @@ def test_the_fleet_is_stopped_from_this_page_too_by_key_and_by_pointer(
     page.get_by_role("button", name="EMERGENCY STOP").dispatch_event("pointerdown")
     expect(page.locator(".stop-said")).to_have_text("emergency stop: asked")
     expect(page.locator(".stop-said")).to_contain_text("no station")
+    for width, height in ((1024, 700), (390, 844)):
+        page.set_viewport_size({"width": width, "height": height})
+        _step(page, "Survey")
+        page.mouse.wheel(0, 5000)
+        for shown in (page.get_by_role("button", name="EMERGENCY STOP"), page.locator(".stop-said")):
+            expect(shown).to_be_in_viewport(ratio=1.0)
+        page.get_by_role("button", name="Find markers").click()  # it lies under nothing
     page.context.close()
 
 
