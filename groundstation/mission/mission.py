@@ -754,6 +754,8 @@ class Mission:
             self.verdict = state
         elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
             self.verdict = None
+        if state in TERMINAL:  # it is over: a thruster test, which leads to WAITING, begins no other run
+            self._needs_operator = True
         if state is MissionState.HALTING and self.state not in PLANNING and isinstance(cause, MissionEvent):
             self._still_to_arm = frozenset()  # robots flew just now: one that is disarmed is lost
         if state in JOINING:  # one instant for all, the same in every command: late robots join where the others are
