@@ -497,7 +497,7 @@ class Mission:
             self._needs_operator = True
         elif policy == "close-up" and not returns:
             self._run.gap = True
-            if not self._needs_operator:
+            if not (self._needs_operator and self.state is MissionState.PAUSED):
                 self._close_up(fleet, now_ns)
         elif next_state(self.state, MissionEvent.LOST_REPLAN) is not None:
             self._go(MissionEvent.LOST_REPLAN, now_ns)

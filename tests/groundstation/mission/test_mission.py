@@ -721,8 +721,8 @@ def test_a_robot_under_power_is_not_sent_arm() -> None:
 
 @pytest.mark.parametrize("ends_it", [CommandKind.RETURN, CommandKind.DISARM])
 def test_a_thruster_test_after_a_run_begins_no_other(ends_it: CommandKind) -> None:
-    """A person has sent an automatic mission's fleet back, or disarmed it: all are at their starts, fit and disarmed, just what
-    an automatic mission waits for to begin."""
+    """A person has sent an automatic mission's fleet back, or disarmed it: all are at their starts, fit and disarmed. It waits
+    for just that to begin."""
     run = running()
     assert run.mission.request(ends_it, run.fleet(), run.now_ns) == ""
     run.step(1.0)
@@ -739,6 +739,15 @@ def test_a_thruster_test_after_a_run_begins_no_other(ends_it: CommandKind) -> No
     assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
     run.step(2.0)
     assert run.at(MissionState.RUNNING)
+
+
+def test_a_gap_is_closed_also_after_a_person_has_led_another_robot() -> None:
+    run = three_running("close-up")
+    run.mission.lead(3, CommandKind.HOLD)
+    run.step(1.0)
+    run.robots[2].silent = True
+    run.step(0.5)
+    assert MissionState.HALTING in run.states and run.mission.roster.active == (1,)
 
 
 def test_a_thruster_test_that_does_not_end_is_given_up() -> None:
