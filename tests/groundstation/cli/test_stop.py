@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from groundstation.__main__ import cli
 from groundstation.cli.stop import CHECKS, FLAGS, NAME, usable_arguments
+from tests.forked import ended
 
 VALUES = st.one_of(
     st.floats().map(str),
@@ -37,6 +38,24 @@ def test_no_line_keeps_a_stop_from_being_sent(words: list[list[str]]) -> None:
     group.commands[NAME].make_context(NAME, arguments)
     kept, complaints = usable_arguments(arguments)
     assert len(kept) + len(complaints) <= 2 * len(arguments)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["stop"],
+        ["mission", "stop"],
+        ["--fleet", "lab", "mission", "stop"],
+        ["mission", "--fleet", "lab", "stop"],
+        ["mission", "--wait=0", "--json", "stop"],
+        ["--fleet", "run", "stop"],
+        ["order", "--insecure", "stop"],
+    ],
+    ids=" ".join,
+)
+def test_a_stop_is_one_wherever_its_options_stand(words: list[str]) -> None:
+    code, output, errors = ended("groundstation", *words, "--station", "tcp/127.0.0.1:1", "--wait", "0")
+    assert code == 1 and "NOT HEARD" in output and "Usage" not in errors
 
 
 @pytest.mark.real_time
