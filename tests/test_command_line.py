@@ -442,7 +442,8 @@ def test_a_role_that_is_not_installed_says_what_installs_it(
 
 
 def test_a_station_that_does_not_come_up_says_why(tmp_path: Path) -> None:
-    (tmp_path / "matplotlib.py").write_text("raise ModuleNotFoundError(name='matplotlib')")  # as where it is not installed
+    hidden = "import sys\nsys.modules['matplotlib'] = None\n"  # as where it is not installed
+    (tmp_path / "sitecustomize.py").write_text(hidden)  # Python reads it in each process
     done = subprocess.run(
         [sys.executable, "-m", "sim_bridge", "sil", "pool", "--no-web", "--out", str(tmp_path / "runs")],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
