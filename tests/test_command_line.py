@@ -101,6 +101,13 @@ def test_commands_of_the_page_parse(words: list[str], tmp_path: Path, monkeypatc
 
 
 @each
+def test_help_shows_every_word_of_its_text(path: tuple[str, ...], command: Any) -> None:
+    """Rich takes [a word] for a style, and leaves it out."""
+    texts = [command.help, *(getattr(parameter, "help", None) for parameter in command.params)]
+    assert [tag for text in texts for tag in re.findall(r"(?<!\\)\[[a-z#/@][^\[]*?\]", text or "")] == []
+
+
+@each
 def test_every_option_says_what_it_is_for(path: tuple[str, ...], command: Any) -> None:
     unexplained = [p.name for p in command.params if getattr(p, "help", "unused") is None]
     assert not unexplained
