@@ -105,7 +105,7 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns) if number else (0, 0)
     recorded = {robot: _gather(log, robot, has_truth, window) for robot in experiment.robot_ids}
     with_flight = [r for r in recorded.values() if r.flew]
-    start_ns = max((r.start_ns for r in with_flight), default=_first_stamp_ns(log))
+    start_ns = _began_ns([r.start_ns for r in with_flight]) if with_flight else _first_stamp_ns(log)
     planned_s = _planned_s(experiment, log, window)
     whole_s = _end_s(recorded, with_flight, start_ns, planned_s)
     end_s = min(whole_s, 2.0 * planned_s + SPARE_S)
@@ -142,7 +142,7 @@ def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
         return _first_stamp_ns(log)
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns)
     clocks = [_clock(_of_formation(log, robot), window) for robot in robots]
-    return max(_start_ns(clock_ns, clock_s) for clock_ns, clock_s in clocks if len(clock_s))
+    return _began_ns([_start_ns(clock_ns, clock_s) for clock_ns, clock_s in clocks if len(clock_s)])
 
 
 # --- flights
@@ -264,6 +264,12 @@ def _clock(states: Sequence[DecodedMessage[RobotState]], window: tuple[int, int]
 def _start_ns(clock_ns: Array, clock_s: Array) -> int:
     """Instant at which the robot's trajectory began, from its first step in flight."""
     return round(float(clock_ns[0]) - float(clock_s[0]) * 1e9)
+
+
+def _began_ns(starts_ns: Sequence[int]) -> int:
+    """Instant at which the flight began: the last start of the robots that started together. The clock of a robot that joins
+    after a hold says a later one, and what the others did before is flight all the same."""
+    return max(start_ns for start_ns in starts_ns if start_ns <= min(starts_ns) + BEGIN_S * 1e9)
 
 
 def _gather(log: RunLog, robot: int, has_truth: bool, window: tuple[int, int]) -> _Recorded:
@@ -397,6 +403,7 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
         gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
         inside = (stamps > r.clock_ns[after - 1]) & (stamps < r.clock_ns[after])
         reference[inside & (gap_ns > LONGEST_GAP_S * 1e9)] = np.nan
+    reference[stamps < r.clock_ns[0] - LONGEST_GAP_S * 1e9] = np.nan  # it had not joined yet
     reference[stamps > r.clock_ns[-1] + LONGEST_GAP_S * 1e9] = np.nan  # it was not heard again while it flew
     reference[_led_away(r, stamps)] = np.nan
     return reference

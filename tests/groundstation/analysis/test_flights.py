@@ -126,6 +126,41 @@ def test_a_robot_that_falls_out_and_comes_back_is_in_the_same_flight(flown: tupl
     assert len(alignment.flights) == 1 and alignment.reached_s == pytest.approx(DURATION_S)
 
 
+def test_a_robot_that_joins_after_a_hold_does_not_move_the_beginning_of_the_flight(tmp_path: Path) -> None:
+    """Robot 1 has a fault at 1 s; robot 2 is put in while it holds from 3 s to 9 s, and flies from there."""
+
+    def mode(robot: int, time_s: float) -> tuple[Mode, str]:
+        if robot == 2 and time_s < 9.5:
+            return Mode.DISARMED, ""
+        if 1.0 < time_s < 1.5:
+            return Mode.HOLDING, "no pose"
+        return (Mode.HOLDING if 3.0 <= time_s < 9.0 else Mode.TRACKING), ""
+
+    script = Script(duration_s=12.0, clock=lambda since_s: min(since_s, 3.0) + max(since_s - 9.0, 0.0), mode=mode)
+    experiment = write_run(tmp_path, script)
+    log = read_log(tmp_path / "run.mcap")
+    series = align(experiment, log)
+    assert series.start_ns == zero_ns(log, experiment.robot_ids) == pytest.approx(START_S * SECOND, abs=0.01 * SECOND)
+    assert [fault.text for fault in evaluate(series, log).faults] == ["holding: no pose"]
+    unknown = np.isnan(series.robots[2].reference[:, 0])
+    assert unknown[series.time_s < 8.9].all() and not unknown[series.time_s > 9.6].any()
+    assert np.isfinite(series.robots[1].reference[series.time_s < 0.9]).all()
+
+
+def test_a_warning_that_goes_on_from_before_the_flight_is_a_fault_of_the_flight(
+    flown: tuple[Experiment, RunLog, Path],
+) -> None:
+    experiment, log, _ = flown
+    stamps = [round((START_S + at_s) * SECOND) for at_s in (-4.0, -1.0, 2.0, 5.0)]
+    warning = Event(3, "localizer", "camera absent: no frame for 0.25 s")
+    events = [DecodedMessage(ns, ns, k, warning) for k, ns in enumerate(stamps)]
+    result = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.EVENT.name, 0): events}))
+    (fault,) = result.faults
+    assert (fault.text, fault.times) == (warning.message, 2)
+    assert (fault.time_s, fault.last_s) == pytest.approx((2.0, 5.0))
+    assert not result.passed
+
+
 def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
     stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
     heartbeats = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
