@@ -187,6 +187,18 @@ def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment
     assert result_of(experiment, beats(log, 2.0, MissionState.RUNNING.name)).passed
 
 
+def test_a_fleet_that_is_sent_home_after_a_long_hold_has_not_flown_the_run(tmp_path: Path) -> None:
+    """It holds at 4 s of 12 s for longer than the flight, and its clock goes on to 9 s on the way home."""
+    script = Script(duration_s=30.0, clock=lambda since_s: min(since_s, 4.0) + min(max(since_s - 20.0, 0.0), 5.0))
+    experiment = write_run(tmp_path, script).model_copy(update={"duration_s": 12.0})
+    log = with_path_until(read_log(tmp_path / "run.mcap"), experiment, 8.0, ends_log=False)
+    assert any(check.name == WHOLE_RUN and check.passed for check in result_of(experiment, log).checks)
+    result = result_of(experiment, beats(log, 20.0, HOMEWARD))
+    whole = next(check for check in result.checks if check.name == WHOLE_RUN)
+    assert whole.failed and (whole.value, whole.limit) == pytest.approx((4.0, 12.0), abs=0.1)
+    assert "sent home after 4.0 s of 12 s" in result.notes[0] and not result.passed
+
+
 @pytest.mark.parametrize("begin_s", [0.0, PERIOD_S])
 def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Path], begin_s: float) -> None:
     """Flown, and then, from where everybody lay, home, along a path that begins at 0, or a control period later."""
@@ -204,7 +216,7 @@ def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Pat
     assert series.flight == 1
 
 
-def with_path_until(log: RunLog, experiment: Experiment, end_s: float) -> RunLog:
+def with_path_until(log: RunLog, experiment: Experiment, end_s: float, ends_log: bool = True) -> RunLog:
     """The same, but the path is over then; robots stay where it ends, and their clocks go on a little."""
     samples = round(end_s / PERIOD_S) + 1 + experiment.controller.mpc.horizon
     entries = dict(log.entries)
@@ -217,7 +229,7 @@ def with_path_until(log: RunLog, experiment: Experiment, end_s: float) -> RunLog
                 for e in messages
             ]
             entries[key] = cut
-        elif key[0] == topics.STATE.name:
+        elif key[0] == topics.STATE.name and ends_log:
             entries[key] = [e for e in messages if e.stamp_ns <= (START_S + end_s) * SECOND]
     return dataclasses.replace(log, entries=entries)
 
