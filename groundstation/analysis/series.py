@@ -177,7 +177,7 @@ class Series:
         if not len(values):
             return 0.0
         has_truth = np.stack([np.isfinite(robot.truth).all(axis=1) for robot in self.robots.values()]).any(axis=0)
-        counted = np.logical_or.accumulate(has_truth)
+        counted = np.logical_or.accumulate(has_truth) if self.errors_against == "truth" else np.ones_like(has_truth)
         if rows is not None:
             counted &= rows
         is_known: Mask = np.asarray(np.isfinite(values).reshape(len(values), -1).all(axis=1))

@@ -147,6 +147,20 @@ def test_a_robot_that_joins_after_a_hold_does_not_move_the_beginning_of_the_flig
     assert np.isfinite(series.robots[1].reference[series.time_s < 0.9]).all()
 
 
+def test_a_flight_in_a_pool_whose_beginning_nobody_saw_has_not_passed(tmp_path: Path) -> None:
+    experiment = write_run(tmp_path, Script(duration_s=DURATION_S, truth=False))
+    log = read_log(tmp_path / "run.mcap")
+    late = {
+        key: [e for e in messages if key[0] != topics.POSE.name or e.stamp_ns > (START_S + 0.6 * DURATION_S) * SECOND]
+        for key, messages in log.entries.items()
+    }
+    assert result_of(experiment, log).passed
+    result = result_of(experiment, dataclasses.replace(log, entries=late))
+    separation = next(check for check in result.checks if check.name == "separation")
+    assert separation.failed and "pair 1-2: known for 40%" in separation.where
+    assert not result.passed
+
+
 def test_a_warning_that_goes_on_from_before_the_flight_is_a_fault_of_the_flight(
     flown: tuple[Experiment, RunLog, Path],
 ) -> None:
