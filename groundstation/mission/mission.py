@@ -573,7 +573,10 @@ class Mission:
 
     def _has_confirmed(self, robot: int, stage: CommandStage, fleet: Fleet, now_ns: int) -> bool:
         """True if a fresh state shows that the robot has done the stage's command. For DISARM and CLEAR_STOP only a state
-        that was sent since the stage began counts: an ARM or a STOP may have been on its way."""
+        that was sent since the stage began counts: an ARM or a STOP may have been on its way. It may still be: so a DISARM is
+        sent in any case, and comes behind the ARM."""
+        if stage.order is CommandKind.DISARM and not self._dispatcher.has_sent(robot):
+            return False
         view = fleet[robot]
         counts = self._spoke(view, now_ns) or (view.heard and stage.order not in (CommandKind.DISARM, CommandKind.CLEAR_STOP))
         return counts and stage.confirmed(view.mode, self.roster.has_loaded(self.segment, fleet, robot))

@@ -79,7 +79,8 @@ class StationCore:
         """Take the outcome of an owner's plan."""
         (self.mission if owner == "mission" else self.single).planned(outcome, fleet, now_ns)
 
-    # --- requests; each returns the reason of a refusal, or nothing, and the request's number
+    # --- requests, of a fleet as it is seen at `now_ns`; each returns the reason of a refusal, or nothing, and the request's
+    #     number
 
     def request(
         self,
@@ -91,7 +92,7 @@ class StationCore:
         text: str = "",
     ) -> tuple[str, int]:
         """Take a request for the whole fleet, or for the robot `only`; a STOP is for every robot."""
-        self._settle(fleet)
+        self._settle(fleet, now_ns)
         only = WHOLE_FLEET if order is CommandKind.STOP else only
         if only:
             reason = self.single.request(order, only, fleet, now_ns, via[0] if len(via) == 1 else None)
@@ -115,17 +116,17 @@ class StationCore:
     def drive(self, robot: int, velocity: DriveVelocity, fleet: Fleet, now_ns: int) -> str:
         """Take a person's newest velocity for one robot: one request from the first to letting go. Returns the reason of a
         refusal, or nothing."""
-        self._settle(fleet)
+        self._settle(fleet, now_ns)
         reason = self.single.drive(robot, velocity, fleet, now_ns)
         if not reason and robot in self.single.led:
             self._begin_task(robot)
         return reason
 
-    def _settle(self, fleet: Fleet) -> None:
+    def _settle(self, fleet: Fleet, now_ns: int) -> None:
         """Before a request: what those before it have reached is done, whatever this one does. Before the first cycle there is
-        no view of any robot. The views are as old as the last cycle: a state in them is older by what has gone by since."""
+        no view of any robot."""
         if fleet:
-            self.single.settle(fleet, self.mission.cycle_ns)
+            self.single.settle(fleet, now_ns)
             self.requests.settle(self.mission, fleet, self.tuner.status())
 
     def _begin_task(self, robot: int) -> int:
@@ -133,7 +134,7 @@ class StationCore:
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, fleet: Fleet, now_ns: int) -> tuple[str, int]:
         """Change the fleet's gains; None: go back to those before."""
-        self._settle(fleet)
+        self._settle(fleet, now_ns)
         formation = {robot: fleet[robot] for robot in self.mission.roster.active}
         if values is None:
             reason = self.tuner.undo(formation, now_ns)

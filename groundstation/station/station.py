@@ -290,7 +290,7 @@ class Station:
         if order is CommandKind.FAULT:
             return self._fault(text)
         with self.lock:
-            reason, number = self.core.request(order, self.views, self.clock.now_ns(), via, only, text)
+            reason, number = self.core.request(order, self.fleet(), self.clock.now_ns(), via, only, text)
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
@@ -336,17 +336,17 @@ class Station:
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
         with self.lock:
-            return self.core.drive(robot, velocity, self.views, self.clock.now_ns())
+            return self.core.drive(robot, velocity, self.fleet(), self.clock.now_ns())
 
     def come_to_rest(self) -> bool:
         """Hold every robot that moves: the station is about to leave. Returns False once none that is heard moves."""
         with self.lock:
-            return self.core.come_to_rest(self.views, self.clock.now_ns())
+            return self.core.come_to_rest(self.fleet(), self.clock.now_ns())
 
     def disarm(self) -> None:
         """Disarm every robot: the station is about to leave. No person has asked for it, so no request is logged."""
         with self.lock:
-            self.core.request(CommandKind.END, self.views, self.clock.now_ns())
+            self.core.request(CommandKind.END, self.fleet(), self.clock.now_ns())
 
     def has_power(self) -> bool:
         """True while a robot that is heard may put out thrust."""

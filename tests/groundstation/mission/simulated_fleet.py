@@ -321,6 +321,14 @@ class SimulatedFleet:
         self.on_beat(beat)
         self.on_cycle()
 
+    def seen_at(self, now_ns: int) -> Mapping[int, RobotView]:
+        """The fleet as the station sees it between two cycles."""
+        cycle_ns, self.now_ns = self.now_ns, now_ns
+        try:
+            return self._views()
+        finally:
+            self.now_ns = cycle_ns
+
     def reach(self, robot: int) -> bool:
         """True if robot and station hear one another."""
         radio = self.robots[robot].radio

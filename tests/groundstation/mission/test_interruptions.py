@@ -32,6 +32,7 @@ from tests.groundstation.mission.simulated_fleet import (
     CIRCLE,
     PLACES,
     SPEED_MPS,
+    STEP_NS,
     THREE,
     TWO,
     Driving,
@@ -47,6 +48,7 @@ MIDDLES_M = ((0.8, 0.4), (-0.8, 0.4), (1.4, -0.6), (-1.2, -0.8))  # for the form
 OUTAGES_S = (0.1, 0.4, 1.0, 2.5, 5.0, 20.0)
 ENDS = (CommandKind.DISARM, CommandKind.END, CommandKind.STOP)
 FLEET_ORDERS = [order_named(name) for name in FLEET_REQUESTS]
+BETWEEN_NS = 17_000_000  # a request comes so much later within its cycle than the one before
 SAMPLED = 12  # one in so many arrivals in a state of the mission is followed by a STOP, beside what goes on
 
 
@@ -76,6 +78,7 @@ class Interruptions(RuleBasedStateMachine):
         self.watched = Invariants(self.pool)
         self.record = RunRecord(self.pool)
         self.before: MissionState | None = None
+        self.requests = 0
         self.pool.on_cycle = self.look
         self.leaves = leaves  # the station itself ends the run, by Ctrl-C
         self.ids = list(self.pool.robots)
@@ -95,7 +98,9 @@ class Interruptions(RuleBasedStateMachine):
         """A request of `who`. Returns the reason of a refusal."""
         pool = self.pool
         before = pool.mission.state
-        refused, number = pool.core.request(order, pool.fleet, pool.now_ns, (place_m,) if place_m else (), robot)
+        self.requests += 1
+        now_ns = pool.now_ns + self.requests * BETWEEN_NS % STEP_NS  # people do not wait for a cycle
+        refused, number = pool.core.request(order, pool.seen_at(now_ns), now_ns, (place_m,) if place_m else (), robot)
         assert bool(number) is not bool(refused), f"ANSWER: {order.name} of {who}: number {number}, {refused!r}"
         assert not refused or order is not CommandKind.STOP, f"STOP: refused in {before.name}: {refused}"
         if number:
@@ -252,7 +257,7 @@ class Interruptions(RuleBasedStateMachine):
         self.pool.run(0.3 * seconds)
         self.ask(who, CommandKind.CLEAR_STOP, 0)
 
-    @rule(delay_s=st.sampled_from((0.02, 0.1, 0.3)), k=st.integers(0, 2))
+    @rule(delay_s=st.sampled_from((0.0, 0.02, 0.1, 0.3)), k=st.integers(0, 2))
     def be_late(self, delay_s: float, k: int) -> None:
         self.pool.robots[self.ids[k % len(self.ids)]].radio.delay_ns = round(delay_s * 1e9)
 

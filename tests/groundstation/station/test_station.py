@@ -9,6 +9,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station
 from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
 from shoal.bus.access_control import INSECURE
-from shoal.bus.bus import Bus, Inbox
+from shoal.bus.bus import Bus, Inbox, Received
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
 from shoal.messages import topics
@@ -506,6 +507,47 @@ def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
         assert not refused.accepted and refused.outcome is None
         nothing = station.on_operator_command(Header(9, 4, 0), Command(CommandKind.NONE, WHOLE_FLEET))
         assert not nothing.accepted
+
+
+class _HandClock:
+    """A clock that the test sets; every sender goes by it."""
+
+    waits = False
+
+    def __init__(self) -> None:
+        self.at_ns = 1_000_000_000
+
+    def now_ns(self) -> int:
+        return self.at_ns
+
+    def instant_ns(self, received: Received[Any]) -> int:
+        return received.header.stamp_ns
+
+    def arrival_ns(self, stamp_ns: int) -> int:
+        return self.at_ns
+
+
+@pytest.mark.parametrize("another", ["request", "drive", "gains"])
+def test_a_request_is_not_done_by_a_state_of_before_it_whatever_else_is_asked_before_the_next_cycle(
+    tmp_path: Path, another: str
+) -> None:
+    """The robot holds, a person has just driven it, and that is on its way: a HOLD is to follow it."""
+    hub, clock = MemoryHub(), _HandClock()
+    with a_station(tmp_path, hub) as station:
+        station.clock = clock
+        Bus(MemoryTransport(hub)).publish(topics.STATE, RobotState(Mode.HOLDING), clock.at_ns, 1)
+        station.cycle(clock.at_ns)
+        clock.at_ns += 10_000_000
+        reason, number = station.request(CommandKind.HOLD, only=1)
+        assert reason == ""
+        clock.at_ns += 30_000_000
+        if another == "request":
+            station.request(CommandKind.HOLD, only=2)
+        elif another == "drive":
+            station.drive(2, DriveVelocity(surge_mps=0.1))
+        else:
+            station.request_gains({"controller.nmpc.turning_m": 0.02}, next_lap=False)
+        assert outcome(station, number).progress is Progress.UNDER_WAY
 
 
 def test_a_stop_is_a_stop_whatever_else_the_command_carries(tmp_path: Path) -> None:

@@ -7,12 +7,13 @@ import pytest
 
 from robot_agent.control.any_controller import make_controller
 from robot_agent.control.controller import ControlOutput, Setting
+from robot_agent.control.nonlinear.tuning import horizon_s
 from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
 from robot_agent.safety.sensor_checks import LEVEL_MPS2
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.experiment import load_experiment
-from shoal.messages.messages import BoardReading, Control, Estimate, Mode, Pose, Track
+from shoal.messages.messages import BoardReading, Control, Estimate, Guidance, Mode, Pose, Track
 
 POOL = load_experiment("pool")
 NOW_NS, MS = 10_000_000_000, 1_000_000
@@ -146,6 +147,42 @@ def test_a_robot_that_was_off_its_path_is_not_so_for_ever() -> None:
     monitor.note_inputs(WELL, Mode.FAULT, now_ns)
     assert not monitor.health(WELL, False, now_ns).off_path
     assert not fly(Mode.TRACKING, 1.0, 0.0)
+
+
+@pytest.mark.parametrize(("yaw_rad", "reason"), [(0.0, "held fast"), (np.pi, "")])
+def test_a_robot_is_held_fast_by_poses_that_fit_its_estimate_alone(yaw_rad: float, reason: str) -> None:
+    """Of a marker that is read the wrong way round nothing is concluded about the thrust."""
+    monitor, now_ns = HealthMonitor(POOL, plan_period_s=0.1), NOW_NS
+    pushes = (1700,) * 4 + monitor.neutral_us[4:]
+    for k in range(60):
+        now_ns += 50 * MS
+        pose = StampedPose(replace(POSE, yaw_rad=yaw_rad), now_ns - 40 * MS)
+        inputs = replace(WELL, pose=pose, board=replace(BOARD, arrival_ns=now_ns - 20 * MS))
+        monitor.note_inputs(inputs, Mode.TRACKING, now_ns)
+        monitor.note_pulses(pushes if k > 20 else monitor.neutral_us, now_ns)
+        monitor.note_output(off_the_path(0.0), Mode.TRACKING, now_ns)
+    assert monitor.health(inputs, False, now_ns).watch_reason == reason
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 1.0])
+def test_a_robot_gives_way_until_nothing_has_been_in_its_way_for_half_a_horizon(aside_m: float) -> None:
+    """Then it is back on its path, or on its way there. What it avoids near its path keeps it giving way."""
+    monitor, now_ns, clears_s = HealthMonitor(POOL), NOW_NS, 0.5 * horizon_s(POOL.vehicle)
+
+    def fly(seconds: float, avoids: bool, blocks: bool) -> Guidance:
+        nonlocal now_ns
+        for _ in range(round(seconds / 0.05)):
+            now_ns += 50 * MS
+            monitor.note_inputs(WELL, Mode.TRACKING, now_ns)
+            output = off_the_path(aside_m)._replace(is_free=not avoids, avoids=avoids, path_is_blocked=blocks)
+            monitor.note_output(output, Mode.TRACKING, now_ns)
+        return monitor.guidance
+
+    assert fly(1.0, False, False) is not Guidance.GIVING_WAY
+    assert fly(2.0, True, True) is Guidance.GIVING_WAY
+    assert fly(clears_s + 2.0, True, False) is Guidance.GIVING_WAY
+    assert fly(0.5 * clears_s, False, False) is Guidance.GIVING_WAY
+    assert fly(clears_s, False, False) is (Guidance.RETURNING if aside_m else Guidance.ON_PATH)
 
 
 def test_an_estimate_that_ends_under_power_is_remembered_until_the_power_is_gone() -> None:

@@ -333,6 +333,17 @@ def test_a_mistake_in_a_setting_is_told_of_the_setting_and_not_of_the_file() -> 
 # --- the hash
 
 
+def test_a_copy_with_another_value_has_another_hash_and_what_else_follows_from_its_values() -> None:
+    pool = load_experiment("pool")
+    before = pool.hash, pool.vehicle.inertia.tolist()
+    slower = pool.model_copy(update={"duration_s": pool.duration_s - 1.0})
+    assert slower.hash == check(Experiment, slower.model_dump(mode="json"), "slower").hash != pool.hash
+    assert pool.model_copy(update={}).hash == pool.hash
+    heavier = pool.vehicle.mass.model_copy(update={"surge_kg": 2.0 * pool.vehicle.mass.surge_kg})
+    assert pool.vehicle.model_copy(update={"mass": heavier}).inertia[0] == 2.0 * before[1][0]
+    assert (pool.hash, pool.vehicle.inertia.tolist()) == before
+
+
 def _mutants(value: object) -> Iterator[object]:
     """Other values of the same type, from near to far."""
     if isinstance(value, bool):
