@@ -20,10 +20,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from groundstation.scripting.fleet import ConnectedFleet, NotHeard, RequestFailed, connect
     from groundstation.scripting.runs import FlownRun, open_run
+    from sim_bridge.in_process.env import Env
     from sim_bridge.scripting import simulate, simulation
 
 __all__ = [
     "ConnectedFleet",
+    "Env",
     "FlownRun",
     "NotHeard",
     "RequestFailed",
@@ -35,6 +37,7 @@ __all__ = [
 
 _HOMES = {
     "ConnectedFleet": "groundstation.scripting.fleet",
+    "Env": "sim_bridge.in_process.env",
     "FlownRun": "groundstation.scripting.runs",
     "NotHeard": "groundstation.scripting.fleet",
     "RequestFailed": "groundstation.scripting.fleet",

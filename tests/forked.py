@@ -40,9 +40,10 @@ APPS = {
     "robot-agent": "robot_agent.__main__",
 }
 LOADED = (  # what commands load when they begin
-    *APPS.values(), "tests.disks.jobs", "groundstation.deploy.key_ring", "groundstation.export.foxglove_file",
-    "groundstation.export.tables", "groundstation.logs.repair", "groundstation.report.report",
-    "groundstation.report.run_comparison", "groundstation.report.terminal", "groundstation.station.process",
+    *APPS.values(), "typer.rich_utils", "tests.disks.jobs", "groundstation.client", "groundstation.deploy.key_ring",
+    "groundstation.export.foxglove_file", "groundstation.export.tables", "groundstation.logs.repair",
+    "groundstation.report.report", "groundstation.report.run_comparison", "groundstation.report.terminal",
+    "groundstation.station.discovery", "groundstation.station.process", "shoal.mavlink.parameters",
     "localizer.calibration.verify", "localizer.calibration.workflow", "localizer.evaluation.offline",
     "sim_bridge.in_process.executor", "sim_bridge.in_process.resume", "sim_bridge.in_process.run",
     "sim_bridge.replay.step_replay", "sim_bridge.sil.launcher", "sim_bridge.studies.campaign_runner",

@@ -101,6 +101,13 @@ def test_commands_of_the_page_parse(words: list[str], tmp_path: Path, monkeypatc
 
 
 @each
+def test_help_shows_every_word_of_its_text(path: tuple[str, ...], command: Any) -> None:
+    """Rich takes [a word] for a style, and leaves it out."""
+    texts = [command.help, *(getattr(parameter, "help", None) for parameter in command.params)]
+    assert [tag for text in texts for tag in re.findall(r"(?<!\\)\[[a-z#/@][^\[]*?\]", text or "")] == []
+
+
+@each
 def test_every_option_says_what_it_is_for(path: tuple[str, ...], command: Any) -> None:
     unexplained = [p.name for p in command.params if getattr(p, "help", "unused") is None]
     assert not unexplained
@@ -442,7 +449,8 @@ def test_a_role_that_is_not_installed_says_what_installs_it(
 
 
 def test_a_station_that_does_not_come_up_says_why(tmp_path: Path) -> None:
-    (tmp_path / "matplotlib.py").write_text("raise ModuleNotFoundError(name='matplotlib')")  # as where it is not installed
+    hidden = "import sys\nsys.modules['matplotlib'] = None\n"  # as where it is not installed
+    (tmp_path / "sitecustomize.py").write_text(hidden)  # Python reads it in each process
     done = subprocess.run(
         [sys.executable, "-m", "sim_bridge", "sil", "pool", "--no-web", "--out", str(tmp_path / "runs")],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},

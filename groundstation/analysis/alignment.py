@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from groundstation.analysis.series import HOPS, Flight, Mask, RobotSeries, Series, States, TimelineEvent
 from groundstation.analysis.timeline import STOOD_STILL, once
@@ -398,14 +397,24 @@ def _robot_series(
     )
 
 
+def poses_along(trajectory: Trajectory, along_s: Array) -> Array:
+    """Poses (n, 4) at seconds (n,) from a trajectory's first sample: cubic in between, with the samples' velocities (Hermite);
+    its ends beyond them."""
+    place = np.clip(along_s / trajectory.period_s, 0.0, len(trajectory.eta) - 1)
+    low = np.minimum(place.astype(np.intp), len(trajectory.eta) - 2)
+    u = (place - low)[:, None]
+    begin, end = trajectory.eta[low], trajectory.eta[low + 1]
+    leaves, arrives = trajectory.period_s * trajectory.velocity[low], trajectory.period_s * trajectory.velocity[low + 1]
+    eta: Array = begin + u * u * (3.0 - 2.0 * u) * (end - begin) + u * (1.0 - u) * ((1.0 - u) * leaves - u * arrives)
+    return eta
+
+
 def _reference(r: _Recorded, stamps: Array) -> Array:
     """Reference pose of the robot at each stamp, (n, 4); NaN for a robot that had no part in the flight."""
     if r.trajectory is None or not r.flew:
         return np.full((len(stamps), 4), np.nan)
-    time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
-    curve = CubicHermiteSpline(time_s, r.trajectory.eta, r.trajectory.velocity)
     along_s = np.interp(stamps, r.clock_ns, r.clock_s) - r.trajectory.begin_s
-    reference = np.asarray(curve(np.clip(along_s, 0.0, time_s[-1])))
+    reference = poses_along(r.trajectory, along_s)
     reference[along_s < -r.trajectory.period_s] = np.nan  # left out: the whole was longer than a message may be
     if len(r.clock_ns) > 1:  # a clock is no more invented across a gap of the log than the truth is
         after = np.clip(np.searchsorted(r.clock_ns, stamps), 1, len(r.clock_ns) - 1)

@@ -6,6 +6,7 @@ Each command waits for the outcome of its request, prints it robot by robot, and
 import functools
 import inspect
 import json
+import re
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ParamSpec
 
@@ -85,6 +86,8 @@ HELP = {
     "end": """End the run: disarm every robot, then let the station write what it has, and stop. In `sim-bridge sil`
     everything ends.""",
 }
+
+FORM_HELP = re.sub(r"\[(?=[a-z])", r"\\[", FORM_USAGE)  # Rich takes [a word] for a style, and leaves it out
 
 mission_cli = typer.Typer(
     help="Requests to the running station for the whole fleet (docs/missions.md).",
@@ -277,7 +280,7 @@ def go(
 @mission_cli.command()
 @request
 def formation(
-    form: Annotated[str, typer.Argument(metavar="FORM", help=f"{FORM_USAGE}; shapes: {', '.join(SHAPES)}.")],
+    form: Annotated[str, typer.Argument(metavar="FORM", help=f"{FORM_HELP}; shapes: {', '.join(SHAPES)}.")],
 ) -> tuple[str, Command]:
     """Let the formation take another form: in flight on its way, from a hold before it goes on.
 

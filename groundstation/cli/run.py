@@ -25,6 +25,7 @@ from shoal.runtime.cli_options import (
     WebAddress,
     finite,
 )
+from shoal.runtime.optional_packages import require
 from shoal.runtime.output_files import page_was_open, run_folder
 from shoal.runtime.runtime import Stop, run_steps, start_log
 from shoal.system.secret_files import refuse_shared
@@ -94,6 +95,7 @@ def run(
     from shoal.messages.topics import Role, process_name
     from shoal.runtime.web_access import web_options
 
+    require("matplotlib", "jinja2")  # of the report
     token = _token(web_token_file) if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)
     viewer = address(foxglove) if foxglove is not None else None

@@ -125,7 +125,7 @@ def cycles(
         else:
             _wall_loop(station, stop, end)
         _conclude(station, server, stop, run_dir)
-        log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
+        log.info("mission %s; the station ran for %.1f s", mission.state.value, time.monotonic() - started_s)
         recorder.close()
         if recorder.error:  # also of the log's end, which nobody else tells
             log.error("recorder: %s", recorder.error)

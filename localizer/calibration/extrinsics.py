@@ -112,13 +112,18 @@ def _is_seen(camera: Camera, places: Array) -> bool:
 
 
 def _starts(camera: Camera, places: Array, pixels: Array) -> list[Array]:
-    """Initial poses: those that explain the points if each one under water is seen at its apparent depth / n, straight."""
+    """Initial poses: those that explain the points if each one under water is seen at its apparent depth / n, straight.
+
+    Raises ConfigError if there are none."""
     apparent = places.copy()
     apparent[:, 2] = np.where(places[:, 2] > 0, places[:, 2] / camera.water_index, places[:, 2])
     lens = Intrinsics.of(camera)
-    _, turns, moves, _ = cv2.solvePnPGeneric(
-        apparent, pixels, lens.matrix, np.array(lens.distortion), flags=cv2.SOLVEPNP_SQPNP
-    )
+    try:
+        _, turns, moves, _ = cv2.solvePnPGeneric(
+            apparent, pixels, lens.matrix, np.array(lens.distortion), flags=cv2.SOLVEPNP_SQPNP
+        )
+    except cv2.error:  # it asks for some spread
+        raise ConfigError("points: their pixels lie too near to one another to tell a pose") from None
     starts = []
     for turn, move in zip(turns, moves, strict=True):
         position = -np.asarray(cv2.Rodrigues(turn)[0]).T @ move.ravel()

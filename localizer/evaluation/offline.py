@@ -151,6 +151,8 @@ class PoseTable:
             os.fsync(file.fileno())
             self.failures = localizer.failures()
             if self.rows:
+                if self._out.exists():
+                    raise ConfigError(f"{self._out}: came meanwhile (move it, then --resume: the poses are in {self._part})")
                 self._write(self._part, self._out)
                 return
             self._part.unlink()
@@ -182,15 +184,21 @@ def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...
 def _kept(part: Path) -> tuple[str, int]:
     """The lines of a table before its last frame, whose rows may not all be there, and that frame's number."""
     with os_errors_as_config_errors(part), open_regular(part) as file:
-        header, *lines = file.read().decode().splitlines(keepends=True) or [""]
+        header, *lines = file.read().decode("ascii", "replace").splitlines(keepends=True) or [""]
     columns = ",".join(FIELDS)
     if not header.endswith("\n") and columns.startswith(header):
         return "", 0
     if header.strip() != columns:
         raise ConfigError(f"{part}: cannot be gone on with: its columns are not {', '.join(FIELDS)}")
-    whole = list(takewhile(lambda line: line.endswith("\n") and line.count(",") == len(FIELDS) - 1, lines))
+    whole = list(takewhile(_is_row, lines))
     last = int(whole[-1].split(",")[0]) if whole else 0
     return "".join([header, *(line for line in whole if int(line.split(",")[0]) < last)]), last
+
+
+def _is_row(line: str) -> bool:
+    """True for a whole row of the table; False for what a disk makes of one when the power fails."""
+    cells = line.split(",")
+    return line.isascii() and line.endswith("\n") and len(cells) == len(FIELDS) and cells[0].isdecimal()
 
 
 def _csv(part: Path, out: Path) -> None:

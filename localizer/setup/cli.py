@@ -37,7 +37,7 @@ def setup(
 ) -> None:
     """Set up a camera in a browser: light, focus, lens, pose, masks; then see the changes and save them. Prints the address.
 
-    A file without [camera] gets one when lens and pose are found.
+    A file without the table `camera` gets one when lens and pose are found.
 
     Examples:  localizer setup lab.toml --camera v4l2:/dev/video0          localizer setup pool --out lab.toml
     """

@@ -206,6 +206,8 @@ class V4l2Source:
         middle_ns, stamped = middle_of_exposure_ns(driver_ns, arrived_ns, self._exposure_ns, marks, oldest_ns)
         if stamped:
             self._oldest_ns = math.inf  # its clock is ours
+        else:
+            middle_ns -= round(1e9 * self._camera.readout_s)  # what arrives has been read out
         now_ns, now_monotonic_ns = self._clock.now_ns(), self._monotonic_ns()
         first_row_ns = now_ns - (now_monotonic_ns - middle_ns)
         instant_ns = min(first_row_ns + round(0.5e9 * self._camera.readout_s), now_ns)

@@ -23,10 +23,11 @@ from shoal.config.recording import Recording
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import Picture, Video
-from shoal.runtime.runtime import Stop
+from shoal.runtime.runtime import Stop, log
 
 NICENESS = 15
 KEY_EVERY_S = 1.0  # s between key pictures, at which a viewer that jumps can begin
+WHOLE = 0.9  # share of the pictures from which on nobody misses the others
 CLOCK_HZ = 1000  # Hz of the video's own time stamps
 
 
@@ -40,20 +41,25 @@ class VideoEncoder:
         self._due, self._bus = RateLimiter(experiment.recording.video_rate_hz), bus
         self._film = topics.VIDEO if experiment.recording.video == "h264" else topics.PICTURE
         self._topic = self._film.of_camera(camera)
+        self._offered, self._encoded = 0, 0
         self._worker: LatestItemWorker[CapturedFrame] = LatestItemWorker("video", self._send, stop, _give_way)
 
     def offer(self, captured: CapturedFrame) -> None:
         """Offer a frame. Never waits."""
         if self._due.due(captured.stamp_ns):
+            self._offered += 1
             self._worker.offer(captured)
 
     def close(self) -> None:
-        """Finish the last one."""
+        """Finish the last one, and say whether the film is a part of what was asked for."""
         self._worker.close()
+        if self._encoded < WHOLE * self._offered:
+            log.warning("the video holds %d of %d pictures: the machine is too busy for more", self._encoded, self._offered)
 
     def _send(self, captured: CapturedFrame) -> None:
         try:
             packed = self._pack(captured.pixels, captured.stamp_ns)
+            self._encoded += 1
         except Exception:
             self._pack = packer(self._recording, self._size_px)  # a codec that has failed is in no known state
             raise

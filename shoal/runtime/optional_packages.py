@@ -2,8 +2,17 @@
 
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 
 OURS = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge")
+
+
+def require(*packages: str) -> None:
+    """Raises ModuleNotFoundError for a package that is not installed. Loads none: what is needed after a flight is missed
+    before it, and a start does not wait for it."""
+    for package in packages:
+        if find_spec(package) is None:
+            raise ModuleNotFoundError(name=package)
 
 
 def run_role(run: Callable[[], None], extra: str) -> None:

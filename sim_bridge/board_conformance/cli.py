@@ -128,9 +128,11 @@ def _listen(wire: "BoardWire", client: "ParameterClient", first_word_s: float) -
 
 def _in_hil(wire: "BoardWire", client: "ParameterClient") -> bool:
     """True if the board says that it is in HIL mode."""
-    end_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9)
-    wire.send(client.ask("HIL_MODE"))
+    end_ns, asked_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9), None
     while "HIL_MODE" not in client.values and client.error is None and wire.now_ns() < end_ns:
+        if asked_ns is None or wire.now_ns() - asked_ns > 1e9:  # a question or its answer may be lost
+            asked_ns = wire.now_ns()
+            wire.send(client.ask("HIL_MODE"))
         client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
     return client.values.get("HIL_MODE") == 1.0
 

@@ -9,7 +9,7 @@
 
 All that a robot's computer runs is there, from commands to pulses. Camera, network and MAVLink are left out. Poses are the
 plant's, with the noise and the age that the experiment asks for; plans arrive one control step later, as in lockstep. This
-module and resume.py are the only ones of the simulator that may import the robots' code.
+module, resume.py and env.py are the only ones of the simulator that may import the robots' code.
 """
 
 from collections import deque
@@ -129,6 +129,10 @@ class DirectPlant(PlantRun):
             battery_v=self._rest_v[i],
             armed=self._armed[i],
         )
+
+    def put_out(self, pulses_us: Array) -> None:
+        """Put pulses (n, 8) out, from now on."""
+        self._pulses_us[:] = pulses_us
 
     def act(self, i: int, outputs: Outputs) -> None:
         """Take the i-th agent's pulses, and its request to arm or disarm."""

@@ -1,7 +1,6 @@
 """SHELL: `python -m sim_bridge.lockstep station|agent|localizer|fuse`: the nodes of the other programs by the simulator's
 clock, each in a process of its own. `sim-bridge sil` starts them beside `sim-bridge pool --lockstep`; nobody types this."""
 
-import importlib
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +19,7 @@ from shoal.runtime.cli_options import (
     StationAddress,
     WebAddress,
 )
-from shoal.runtime.optional_packages import run_role
+from shoal.runtime.optional_packages import require, run_role
 from shoal.runtime.runtime import Stop, log, run_app, run_steps, start_log
 
 cli = typer.Typer(help="Nodes by the simulator's clock.", no_args_is_help=True, pretty_exceptions_enable=False)
@@ -38,7 +37,7 @@ def station(
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page.")] = False,
 ) -> None:
     """Run the ground station."""
-    importlib.import_module("groundstation.report.report")  # what the report needs is missed before the flight, not after it
+    require("matplotlib", "jinja2")  # of the report
     from groundstation.gate.gate import Gate
     from groundstation.station import process
     from groundstation.station.discovery import announced

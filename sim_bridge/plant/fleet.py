@@ -124,6 +124,10 @@ class Plant:
         self._flow.stream(current_mps)
         self._parts = self._constants()
 
+    def touching(self, state: PlantState) -> list[int]:
+        """Indices of the robots that touch a wall, the floor, an island or another robot."""
+        return self._basin.touching(state.eta[:, :3])
+
     def water_mps(self, state: PlantState) -> Array:
         """The water's own velocity (n, 3) where the robots are, pool frame."""
         return self._flow.motion(state.eta[:, :3], self.time_s(state))[:, :3].copy()
@@ -173,6 +177,10 @@ class PlantRun:
     def truth(self) -> Truth:
         """The state now, for the log; no controller may read it."""
         return self._plant.truth(self._state)
+
+    def touches(self) -> bool:
+        """True if a robot touches a wall, the floor, an island or another robot."""
+        return bool(self._plant.touching(self._state))
 
     def _blow(self, gust_mps: float) -> None:
         """Let the water move by so much along x besides its current, from now on."""

@@ -84,6 +84,14 @@ class Monitor:
         return (heartbeat.header.stamp_ns - heartbeat.message.began_ns) * 1e-9
 
     @property
+    def planned_s(self) -> float:
+        """Planned end of what is flown: a person may have loaded another path."""
+        heartbeat = self._heartbeat.newest()
+        if heartbeat is None or not heartbeat.message.other_path:
+            return self._experiment.duration_s
+        return heartbeat.message.flight_s
+
+    @property
     def pace(self) -> str:
         """The pace of simulated time lately, in words; empty for the wall clock."""
         pace = self._time.pace()
@@ -122,7 +130,7 @@ class Monitor:
     def render(self) -> RenderableType:
         """The table and the progress bar, now."""
         since = "-" if self.time_s is None else f"{self.time_s:.1f}"
-        self._progress.update(self._task, completed=self.flown_s, speed=self.pace, since=since)
+        self._progress.update(self._task, completed=self.flown_s, total=self.planned_s, speed=self.pace, since=since)
         table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
         for robot, inbox in self._states.items():
             received = inbox.newest()
@@ -148,7 +156,7 @@ class Monitor:
             robots = [f"{r} {s.mode.name.lower()} {_error(s)}{_remark(s)}" for r, s in states.items()]
         robots += [f"{robot} silent" for robot in silent]
         since = "     -" if self.time_s is None else f"{self.time_s:6.1f}"
-        flown = f"{since} / {self._experiment.duration_s:.0f} s"
+        flown = f"{since} / {self.planned_s:.0f} s"
         parts = [f"{flown}  {self.mission.lower():10s}", self.pace, self.reason or ", ".join(robots)]
         return "  ".join(part for part in parts if part)
 

@@ -200,12 +200,14 @@ def _experiment(campaign: Campaign, flight: CampaignFlight) -> Experiment:
 
 
 def _rows(journal: str) -> Iterator[dict[str, Any]]:
-    """Rows of the journal; the last line may be torn."""
+    """Rows of the journal; the last line may be torn, and others may be no rows."""
     for line in journal.splitlines():
         try:
-            yield json.loads(line)
+            row = json.loads(line)
         except ValueError:
             continue
+        if isinstance(row, dict) and {"hash", "status"} <= row.keys():
+            yield row
 
 
 @contextmanager

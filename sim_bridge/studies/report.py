@@ -128,7 +128,7 @@ def _panel(key: str, lines: Sequence[KeyValue], places: Sequence[float], measure
     intervals = [(x, i) for x, line in zip(places, lines, strict=True) if (i := line.means[measure]) is not None]
     axes.plot([x for x, _ in intervals], [i.value for _, i in intervals], "-", color=INK, linewidth=1.0)
     for x, interval in intervals:
-        ends = [interval.low if interval.low is not None else interval.value, interval.high or interval.value]
+        ends = [end if end is not None else interval.value for end in (interval.low, interval.high)]
         axes.plot([x, x], ends, color=INK, linewidth=2.0)
         axes.plot(x, interval.value, "o", color=INK, markersize=4)
     axes.set_xticks(places, [line.value for line in lines])

@@ -125,9 +125,8 @@ def test_late_pose_holds_a_driven_robot_and_refuses_drives(alone: DrivenFleet, m
     assert alone.drive(DriveVelocity(0.1)).reason == "pose late"
 
 
-@pytest.mark.parametrize("yaw_rad", [0.0, 0.7, 2.0, -2.6])
-@pytest.mark.parametrize("surge_mps", [9.0, -9.0])
-def test_robot_driven_at_a_wall_stops_before_it(yaw_rad: float, surge_mps: float) -> None:
+@pytest.mark.parametrize(("surge_mps", "yaw_rad"), [(9.0, 0.0), (9.0, 0.7), (9.0, 2.0), (-9.0, 0.0), (-9.0, -2.6)])
+def test_robot_driven_at_a_wall_stops_before_it(surge_mps: float, yaw_rad: float) -> None:
     fleet = DrivenFleet((0.0, 0.0, 0.3, yaw_rad))
     driven = fleet.fly(14.0, first(DriveVelocity(surge_mps, heave_mps=0.2)))[:, 0]
     room = np.array(POOL.pool.size_m[:2]) / 2.0 - np.abs(driven[:, :2]) - POOL.vehicle.radius_m

@@ -77,7 +77,7 @@ def lines(folder: Path) -> set[tuple[str, str]]:
     with (folder / "run.mcap").open("rb") as file:
         messages = make_reader(file).iter_messages(topics=[f"shoal/{topics.EVENT.key()}"])
         events = [decode(Event, message.data, "log", "event") for _, _, message in messages]
-    texts = [(event.source, re.sub(r"(^mission \w+ after ).* s$", r"\1", event.message)) for event in events]
+    texts = [(event.source, re.sub(r"(^mission [\w ]+; the station ran for ).* s$", r"\1", event.message)) for event in events]
     return {(source, text) for source, text in texts if "dropped for their signature" not in text}
 
 

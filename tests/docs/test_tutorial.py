@@ -67,10 +67,14 @@ def test_another_robot_and_a_change_of_the_formation_can_be_flown(tmp_path: Path
 
 
 def test_the_page_about_scripts_has_code_that_runs(tmp_path: Path) -> None:
-    lead, simulate = re.findall(r"```python\n(.*?)```", (DOCS / "scripting.md").read_text(encoding="utf-8"), re.DOTALL)
+    lead, simulate, learn = re.findall(r"```python\n(.*?)```", (DOCS / "scripting.md").read_text(encoding="utf-8"), re.DOTALL)
     ast.parse(lead)  # tests/shoal and tests/examples run its calls
     done = subprocess.run(
         [sys.executable, "-c", simulate], cwd=tmp_path, capture_output=True, text=True, timeout=500, check=False
     )
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) == 2
+    done = subprocess.run(
+        [sys.executable, "-c", learn], cwd=tmp_path, capture_output=True, text=True, timeout=500, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,5 +1,6 @@
 """The scripts of examples/, run as a user would: in a folder of the user's own, in software."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,9 +9,9 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SAYS = {
-    "change_formation": r"m apart",
-    "compare_settings": r"worst error",
-    "emergency_stop": r"stopped: (1, 2)",
+    "change_formation": r"20 s: 3\.0\d m apart\n  26 s: 2\.5\d m apart",
+    "compare_settings": r"True: worst error \d\.\d mm.*\n.*False: worst error \d{3}\.\d mm",
+    "emergency_stop": r"stopped: \(1, 2\)",
     "lead_a_fleet": r"RUNNING",
     "watch_fleet": r"mission: DONE",
 }
@@ -29,14 +30,14 @@ def said(name: str, folder: Path) -> str:
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(set(SAYS) - set(CONNECTED)))
 def test_a_script_that_simulates_prints_its_result_and_leaves_a_run(name: str, tmp_path: Path) -> None:
-    assert SAYS[name] in said(name, tmp_path)
+    assert re.search(SAYS[name], said(name, tmp_path))
     assert all((run / "report.html").exists() for run in (tmp_path / "runs").iterdir())
 
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marks) for name, marks in CONNECTED.items()])
 def test_a_script_that_leads_a_fleet_comes_to_its_end(name: str, tmp_path: Path) -> None:
-    assert SAYS[name] in said(name, tmp_path)
+    assert re.search(SAYS[name], said(name, tmp_path))
     (run,) = (tmp_path / "runs").iterdir()
     assert (run / "result.json").exists()
 

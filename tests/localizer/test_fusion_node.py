@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -136,6 +137,7 @@ def test_ages_are_right_whatever_the_cameras_clocks_show(ahead_s: float) -> None
     steps = FusionNode(EXPERIMENT, Bus(MemoryTransport(hub)), stop, WallClock()).steps()
     poses, statuses = bus.inbox(topics.POSE, Pose, 1), bus.inbox(topics.LOCALIZER, LocalizerStatus)
     obstacles, receiver = bus.inbox(topics.OBSTACLES, Obstacles), WallClock()
+    wrong_ns = defaultdict[tuple[str, Bus, str], list[int]](list)
     next(steps)
     for k in range(24):
         camera = ("west", "east")[k % 2]
@@ -149,7 +151,9 @@ def test_ages_are_right_whatever_the_cameras_clocks_show(ahead_s: float) -> None
         for inbox in (poses, statuses, obstacles) if k % 16 >= 4 else ():  # the first ones show what is quick
             received = inbox.newest()
             assert received is not None
-            assert abs(receiver.instant_ns(received) - exposed_ns) < 20_000_000, (k, inbox.name)  # this computer is busy
+            wrong_ns[camera, sender, inbox.name].append(abs(receiver.instant_ns(received) - exposed_ns))
+    assert len(wrong_ns) == 12
+    assert max(min(each) for each in wrong_ns.values()) < 20_000_000  # a busy computer delays some, a wrong clock all
     stop.request()
 
 

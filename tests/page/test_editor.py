@@ -53,6 +53,15 @@ def test_a_route_is_edited_too_and_what_cannot_be_typed_is_answered(browser: Bro
         expect(button(page, "You have control")).to_be_visible()
 
 
+def test_a_short_circle_becomes_laps_that_last(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool", ["duration_s=15", "path.lap_s=15"])) as desk:
+        desk.page.goto(desk.url)
+        button(desk.page, "Edit").click()
+        desk.page.get_by_label("kind").select_option("waypoints")
+        expect(desk.page.get_by_label("laps")).to_have_value("2")
+        expect(desk.page.locator(".verdict")).to_contain_text("can be flown")
+
+
 def test_a_waypoint_is_dragged_and_judged(browser: Browser) -> None:
     with editor(browser) as page:
         verdict = page.locator(".verdict")

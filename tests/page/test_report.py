@@ -33,6 +33,12 @@ CAMPAIGN = {
 }  # fmt: skip
 CHARTS = "document.querySelectorAll('.uplot').length"
 TOO_WIDE = "[...document.querySelectorAll('main, .card, figure')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
+NOTE_PRINTED = """matchMedia("print").addEventListener("change", ({ matches }) => {
+  if (matches) window.printedPx = document.documentElement.clientWidth;
+})"""  # a browser lays out what is too wide on a wider page, shrinks that, and cuts the rest
+NOTE_TEXTS = """window.drawn = [];
+const pen = CanvasRenderingContext2D.prototype, fill = pen.fillText;
+pen.fillText = function (text, ...where) { drawn.push(text); fill.call(this, text, ...where); };"""
 TIMES = "[...document.querySelectorAll('#tracking .u-legend tr:first-child .u-value')].map((e) => e.textContent)"
 
 
@@ -46,8 +52,11 @@ def test_a_broken_runs_report_zooms_together_and_requests_nothing(browser: Brows
     trouble: list[str] = []
     page.on("pageerror", lambda error: trouble.append(str(error)))
     page.on("request", lambda request: None if request.url.startswith(("file:", "data:")) else trouble.append(request.url))
+    page.add_init_script(NOTE_TEXTS)
     page.goto(f"file://{tmp_path / 'report.html'}")
     assert "no pose" in page.locator(".cause").inner_text()
+    page.locator("figure.plot", has_text="Modes and faults").scroll_into_view_if_needed()
+    page.wait_for_function("drawn.includes('robot 1') && drawn.includes('robot 2')")  # of each row of bars, whose it is
     page.locator("#tracking").scroll_into_view_if_needed()
     page.wait_for_function(f"{CHARTS} >= 3")
     axis = page.locator("#tracking .u-over")
@@ -66,6 +75,9 @@ def test_a_broken_runs_report_zooms_together_and_requests_nothing(browser: Brows
     page.wait_for_function("!document.body.classList.contains('zoomed')")
     assert page.evaluate(TOO_WIDE) == 0
     assert serious(page) == []
+    page.evaluate(NOTE_PRINTED)
+    page.pdf(format="A4")
+    assert page.evaluate("printedPx") < 700  # A4 within its margins: nothing is cut
     assert trouble == []
     page.close()
 

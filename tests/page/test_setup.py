@@ -266,4 +266,27 @@ def test_the_fleet_is_stopped_from_this_page_too_by_key_and_by_pointer(
     page.get_by_role("button", name="EMERGENCY STOP").dispatch_event("pointerdown")
     expect(page.locator(".stop-said")).to_have_text("emergency stop: asked")
     expect(page.locator(".stop-said")).to_contain_text("no station")
+    for width, height in ((1024, 700), (390, 844)):
+        page.set_viewport_size({"width": width, "height": height})
+        _step(page, "Survey")
+        page.mouse.wheel(0, 5000)
+        for shown in (page.get_by_role("button", name="EMERGENCY STOP"), page.locator(".stop-said")):
+            expect(shown).to_be_in_viewport(ratio=1.0)
+        page.get_by_role("button", name="Find markers").click()  # it lies under nothing
+    page.context.close()
+
+
+def test_in_a_small_window_the_picture_covers_nothing_and_the_stop_stays_in_sight(
+    browser: Browser, program: tuple[psutil.Popen, str]
+) -> None:
+    page = _open(browser, program[1], PageTraffic(), width=780, height=490)
+    for step, name in (("Survey", "Find markers"), ("Save", "Read the file again")):
+        _step(page, step)
+        wanted = page.get_by_role("button", name=name)
+        wanted.scroll_into_view_if_needed()
+        stop = page.get_by_role("button", name="EMERGENCY STOP").bounding_box()
+        assert stop is not None and 0.0 <= stop["y"] <= 490.0 - stop["height"]
+        wanted.click(trial=True, timeout=10_000)  # the press would reach it
+    page.get_by_role("button", name="EMERGENCY STOP").dispatch_event("pointerdown")
+    expect(page.locator(".stop-said")).to_be_in_viewport()
     page.context.close()

@@ -2,7 +2,7 @@
 // Needs uPlot, which is Copyright (c) 2022 Leon Sorokin, under the MIT licence (groundstation/web/LICENSES.txt).
 "use strict";
 (() => {
-  const CURSOR = "time", AXIS_PX = 62, ROW_PX = 24, GREY = "#767676", INK = "#1c2733", FAULT = "#a33b00", GRID = { stroke: "#e6e6e6", width: 1 };
+  const CURSOR = "time", AXIS_PX = 62, PRINTED_PX = 296 /* within a column of A4 and of letter paper */, ROW_PX = 24, GREY = "#767676", INK = "#1c2733", FAULT = "#a33b00", GRID = { stroke: "#e6e6e6", width: 1 };
   const charts = [];
   let range = null; // [from, to] in s that every plot shows; null: everything there is
 
@@ -141,8 +141,8 @@
       height: ROW_PX * n + 44,
       cursor: { ...common.cursor, y: false },
       legend: { show: false },
-      scales: { x: { time: false, range: (_, min, max) => [min, max] }, y: { range: [n, 0] } },
-      axes: [common.xAxis, { stroke: "#333", grid: { show: false }, ticks: { show: false }, size: Math.max(AXIS_PX + 18, 7 * wide + 16), splits: () => plot.rows.map((_, i) => i + 0.5), values: () => plot.rows.map(([name]) => name) }],
+      scales: { x: { time: false, range: (_, min, max) => [min, max] }, y: { range: [0, n], dir: -1 } },
+      axes: [common.xAxis, { stroke: "#333", grid: { show: false }, ticks: { show: false }, size: Math.max(AXIS_PX + 18, 7 * wide + 16), space: ROW_PX / 2, splits: () => plot.rows.map((_, i) => i + 0.5), values: () => plot.rows.map(([name]) => name) }],
       series: [{}, { show: true, paths: () => null, points: { show: false } }],
       hooks: {
         setSelect: [common.selected],
@@ -238,7 +238,12 @@
   const figures = document.querySelectorAll("figure.plot");
   const near = new IntersectionObserver((seen) => seen.forEach((e) => e.isIntersecting && make(e.target)), { rootMargin: "800px" });
   figures.forEach((figure) => near.observe(figure));
-  addEventListener("beforeprint", () => figures.forEach(make));
+  const resize = (width) => charts.forEach(({ chart }) => chart.setSize({ width: width ?? chart.root.parentElement.clientWidth, height: chart.height }));
+  addEventListener("beforeprint", () => {
+    figures.forEach(make);
+    resize(PRINTED_PX);
+  });
+  addEventListener("afterprint", () => resize());
   document.querySelectorAll("figure > svg").forEach(zoomable);
   paper.tables();
   document.querySelectorAll("[data-time]").forEach((row) => row.addEventListener("click", () => {

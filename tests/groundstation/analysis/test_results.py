@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
-from groundstation.analysis.alignment import align
+from groundstation.analysis.alignment import align, poses_along
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import Check, Result
 from groundstation.logs.reader import RunLog, read_log
 from shoal.messages import topics
-from shoal.messages.messages import Mode, RobotState, Truth
+from shoal.messages.messages import Mode, RobotState, Trajectory, Truth
 from tests.groundstation import synthetic
 from tests.groundstation.synthetic import Script, write_run
 
@@ -339,3 +340,14 @@ def test_a_loaded_path_is_judged_by_its_own_length(tmp_path: Path, loaded_s: flo
     assert result.duration_s == pytest.approx(flown_s, abs=0.1)
     assert any("not complete" in note for note in result.notes) is not whole
     assert result.passed is whole
+
+
+@pytest.mark.parametrize("samples", [2, 3, 40])
+def test_a_reference_is_the_cubic_through_samples_and_their_velocities(samples: int) -> None:
+    random = np.random.default_rng(samples)
+    eta, velocity = random.normal(size=(2, samples, 4))
+    trajectory = Trajectory("t", 0.25, eta, velocity, np.zeros((samples, 4)))
+    along_s = np.array([-1.0, *np.linspace(0.0, 0.25 * (samples - 1), 57), 99.0])
+    curve = CubicHermiteSpline(0.25 * np.arange(samples), eta, velocity)
+    expected = curve(np.clip(along_s, 0.0, 0.25 * (samples - 1)))
+    np.testing.assert_allclose(poses_along(trajectory, along_s), expected, rtol=0.0, atol=1e-12)

@@ -218,9 +218,12 @@ def test_four_points_at_least() -> None:
         _file(_entries(RIM[:3]))
 
 
-def test_points_on_one_line_tell_nothing_about_turning_around_it() -> None:
+def test_points_on_one_line_or_in_one_place_tell_no_pose() -> None:
     with pytest.raises(ConfigError, match="points: they lie on one line"):
         _file(_entries([(x, 0.2 * x, 0.0) for x in (-1.0, -0.3, 0.4, 1.2)]))
+    near = np.array([[604.1, 406.4], [607.9, 407.5], [606.1, 400.3], [606.9, 408.2], [608.2, 406.2], [605.0, 403.4]])
+    with pytest.raises(ConfigError, match="points: their pixels lie too near to one another"):
+        fit_pose(POOL, _points(RIM), near)
     line = np.array([[100.0 * i, 80.0 * i] for i in range(6)])
     with pytest.raises(ConfigError, match="points: their pixels lie on one line"):
         fit_pose(POOL, _points(RIM), line)

@@ -281,3 +281,6 @@ def test_a_lens_that_folds_over_is_noticed() -> None:
     lens = Intrinsics.of(WIDE.model_copy(update={"focal_px": (600.0, 600.0), "distortion": (-0.5, 0.0, 0.0, 0.0, 0.0)}))
     assert fold_px(lens) > 10.0
     assert fold_px(Intrinsics.of(WIDE)) < 1e-6
+    # folds over outside of the picture only, 450 px from its centre; a corner is 400 px from it
+    beyond = Intrinsics(size_px=(640, 480), focal_px=(500.0, 500.0), centre_px=(319.5, 239.5), distortion=(-0.183, 0, 0, 0, 0))
+    assert fold_px(beyond) < 0.01

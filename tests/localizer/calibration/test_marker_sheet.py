@@ -63,8 +63,12 @@ def test_a_pdf_holds_all_markers_upright_and_at_true_scale(tmp_path: Path, famil
         assert sides_mm == pytest.approx(60.0, abs=0.15)
         assert quad[0, 1] == pytest.approx(quad[1, 1], abs=2.0) and quad[0, 0] < quad[1, 0]  # its upper edge is above
     for page in pages:
-        rows = np.count_nonzero(page[-round(30 * PX_PER_MM) :] < 128, axis=1)
-        assert rows.max() / PX_PER_MM == pytest.approx(RULER_MM, abs=0.3)
+        foot = page[-round(30 * PX_PER_MM) :] < 128
+        dark_px = np.count_nonzero(foot, axis=1)
+        assert dark_px.max() / PX_PER_MM == pytest.approx(RULER_MM, abs=0.3)
+        ticks = foot[np.argmax(dark_px) - round(2 * PX_PER_MM)]
+        at_mm = np.flatnonzero(np.diff(ticks.astype(int)) == 1) / PX_PER_MM
+        assert at_mm - at_mm[0] == pytest.approx(np.arange(0.0, RULER_MM + 1.0, 10.0), abs=0.15)
 
 
 def test_an_svg_holds_one_sheet(tmp_path: Path) -> None:

@@ -179,6 +179,33 @@ def test_two_programs_never_write_the_same_table(video: Path, tmp_path: Path) ->
         next(second.write(iter(()), EXPERIMENT))
 
 
+def test_a_part_that_a_disk_has_spoilt_goes_on_before_that(video: Path, tmp_path: Path) -> None:
+    """As when the power fails: zeros, any bytes, or numbers that are none."""
+    whole = tmp_path / "whole.csv"
+    _track(video, whole)
+    lines = whole.read_bytes().splitlines(keepends=True)
+    for k, spoilt in enumerate(
+        (bytes(200), b"\xff\xfe" * 50 + b"\n", b"x" + b",1" * 12 + b"\n", lines[5][:-4] + b"\xc3\xa9\n")
+    ):
+        out = tmp_path / f"{k}.csv"
+        _begun(video, out).write_bytes(b"".join([*lines[:5], spoilt, *lines[6:9]]))
+        _track(video, out, "--resume")
+        assert out.read_bytes() == whole.read_bytes()
+
+
+def test_a_table_that_came_meanwhile_is_not_written_over(video: Path, tmp_path: Path) -> None:
+    out = tmp_path / "poses.csv"
+    with closing(VideoReader(video)) as film:
+        table = PoseTable(out, "12345678")
+        writing = table.write(frames_of_video(film, video, EXPERIMENT, None), EXPERIMENT)
+        next(writing)
+        out.write_text("somebody else's\n")
+        with pytest.raises(ConfigError, match=r"poses.csv: came meanwhile \(move it, then --resume"):
+            list(writing)
+    (part,) = tmp_path.glob("*.part")
+    assert out.read_text() == "somebody else's\n" and len(part.read_text().splitlines()) > FILMED
+
+
 def test_a_table_is_not_overwritten(video: Path, tmp_path: Path) -> None:
     out = tmp_path / "poses.csv"
     command, part = ["track", str(video), "--experiment", "pool", "--out", str(out)], _begun(video, out)

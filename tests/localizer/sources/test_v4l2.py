@@ -127,6 +127,21 @@ def test_the_drivers_stamp_becomes_an_instant_of_our_clock(plug: Plug) -> None:
     assert captured.arrived_ns == ours.ns
 
 
+@pytest.mark.parametrize("driver_ms", [-20.0, 1.0], ids=["stamp", "no stamp"])
+def test_a_picture_is_of_its_middle_row_with_and_without_a_stamp(plug: Plug, driver_ms: float) -> None:
+    """Half the exposure is 4 ms, and 20 ms go by from the first row to the last. A driver's stamp is of the first row's end;
+    without one the picture is known to have been read out when it came."""
+    ours, monotonic_ns = HandClock(), 3_000_000 * MS
+    plug.stamp_ms = lambda: monotonic_ns / MS + driver_ms
+    rolling = CAMERA.model_copy(update={"readout_s": 0.020})
+    source = V4l2Source("/dev/video7", rolling, ours, plug.open, lambda: monotonic_ns)
+    plug.expose(1)
+    captured = next(source.frames(Stop(install=False)))
+    source.close()
+    assert captured is not None and captured.stamped is (driver_ms < 0.0)
+    assert (ours.ns - captured.instant_ns) // MS == 14
+
+
 def test_a_picture_from_before_a_standstill_is_not_new(plug: Plug) -> None:
     """The process sleeps for 30 s; the driver's buffer holds a picture from the beginning. Another device's stamps may be of
     another clock again."""

@@ -201,6 +201,21 @@ def shift_variance_m2(pose: CheckedCameraPose) -> float:
     return float(np.trace(pose.uncertainty(pose.view.linearize([ETA[0, :2]], [0.3]), [0.3])[0][:2, :2]))
 
 
+@pytest.mark.parametrize(("aside_m", "turn_rad"), [(0.03, 0.0), (0.0, 0.05)])
+def test_headings_are_as_uncertain_as_the_marks_are_turned(aside_m: float, turn_rad: float) -> None:
+    """A camera that was moved aside, or turned around the pool's middle, sees all marks moved aside or turned."""
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    moved = tuple(
+        Landmark(id=mark.id, position_m=(c * x - s * y + aside_m, s * x + c * y, z), yaw_rad=mark.yaw_rad + turn_rad)
+        for mark in MARKS
+        for x, y, z in [mark.position_m]
+    )
+    pose = CheckedCameraPose(pool().camera, MARKS)
+    watch(pose, picture(moved, 0.0), READINGS)
+    covariance = pose.uncertainty(pose.view.linearize([ETA[0, :2]], [0.3]), [0.3])[0]
+    assert pose.moved and np.sqrt(covariance[2, 2]) == pytest.approx(turn_rad, abs=0.01)
+
+
 def test_a_covered_mark_is_said_and_the_others_still_count() -> None:
     result = seen(pool(MARKS[1:]), pool())
     assert result.status.message == "check mark 40 is not seen"

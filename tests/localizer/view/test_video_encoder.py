@@ -1,6 +1,7 @@
 """The camera's film: what viewers can decode picture by picture, and nothing that the poses wait for."""
 
 import io
+import re
 import threading
 from typing import Any
 
@@ -128,7 +129,9 @@ def test_film_goes_out_on_its_topic_with_the_pictures_stamp(
     assert stamps_ns == [SECOND, SECOND + SECOND // 10, SECOND + SECOND // 5]  # every other one: 10 of 20 a second
 
 
-def test_offering_never_waits_and_the_newest_counts(pictures: list[Pixels], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_offering_never_waits_and_the_newest_counts(
+    pictures: list[Pixels], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     packed: list[int] = []
     busy, go_on, again = threading.Event(), threading.Event(), threading.Event()
 
@@ -148,6 +151,8 @@ def test_offering_never_waits_and_the_newest_counts(pictures: list[Pixels], monk
     assert again.wait(10.0)
     maker.close()
     assert packed == [SECOND, captured(pictures[0], 11).stamp_ns]
+    (line,) = [record.message for record in caplog.records if record.message.startswith("the video holds")]
+    assert re.match(r"the video holds 2 of 1\d pictures", line)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("the codec is broken"), cv2.error("another size"), MemoryError()])

@@ -16,7 +16,9 @@ from shoal.mavlink import framing
 from shoal.mavlink.agent_link import ACCEPTED, IGNORED
 from shoal.mavlink.frame_codec import Peer
 from shoal.mavlink.framing import Sequence8
+from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key, SignatureVerifier
+from sim_bridge.board_conformance.cli import _in_hil  # the command opens real links
 from sim_bridge.board_conformance.probe import BoardProbe
 from sim_bridge.board_conformance.rules import RULES
 from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
@@ -91,6 +93,28 @@ def test_a_dry_run_turns_nothing_and_says_what_it_left_out() -> None:
     assert bench.worst_us == 0
     skipped = {name for name, outcome in outcomes.items() if outcome.verdict is RuleVerdict.SKIPPED}
     assert skipped == {rule.name for rule in RULES if rule.spins or rule.signed}
+
+
+class DeafWire(SteppedWire):
+    """A wire that loses the next frame to the board while `loses`."""
+
+    loses = False
+
+    def send(self, data: bytes) -> None:
+        if not self.loses:
+            super().send(data)
+        self.loses = False
+
+
+@pytest.mark.parametrize("hil", [False, True])
+def test_a_board_in_hil_mode_is_told_though_a_question_is_lost(hil: bool) -> None:
+    wire, client = DeafWire(), ParameterClient(1)
+    wire.send(client.set("HIL_MODE", float(hil)))
+    while wire.now_ns() < 1_000_000_000:
+        wire.receive(1_000_000_000)
+    wire.loses = True
+    assert _in_hil(wire, client) == hil
+    assert client.values["HIL_MODE"] == hil and wire.now_ns() < 3_000_000_000
 
 
 class HalfFrameWire(SteppedWire):
@@ -308,6 +332,10 @@ def _hil_untold(self: BoardLink, armed: bool, healthy: bool, hil: bool, status: 
     return Link_heartbeat(self, armed, healthy, False, status)
 
 
+def _hil_always_told(self: BoardLink, armed: bool, healthy: bool, hil: bool, status: int) -> bytes:
+    return Link_heartbeat(self, armed, healthy, True, status)
+
+
 def _motion_of_any_age(self: SimulatedSensors, now_ns: int) -> Any:
     return self._motion
 
@@ -371,6 +399,7 @@ WRONG: list[tuple[type, str, Any, set[str], bool]] = [
     (Parameters, "changed", _change_unchecked, {"parameter-bounds", "hil-outputs"}, False),
     (ThrusterBoard, "_enter_or_leave_hil", _hil_ignored, {"hil", "hil-silence", "hil-battery"}, False),
     (BoardLink, "heartbeat", _hil_untold, {"hil"}, False),
+    (BoardLink, "heartbeat", _hil_always_told, {"hil"}, False),
     (BoardLink, "_read", _motion_of_anybody, {"hil-stranger"}, False),
     (SimulatedSensors, "motion", _motion_of_any_age, {"hil-silence"}, False),
     (SimulatedSensors, "battery_v", _own_battery, {"hil-battery"}, False),

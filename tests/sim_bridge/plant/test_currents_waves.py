@@ -73,9 +73,10 @@ def test_acceleration_is_the_rate_of_change_at_a_place(settings: tuple[str, ...]
 
 def test_gusts_have_their_strength_and_correlation() -> None:
     """Over many seeds: variance, and exp(-t/T) between two instants; x and y apart."""
-    settings = ("sim.plant.gust_mps=0.05", "sim.plant.gust_s=4")
+    experiment = load_experiment("pool", ("sim.plant.gust_mps=0.05", "sim.plant.gust_s=4"))
     lags = (0.0, 1.0, 2.0, 4.0, 8.0)
-    speeds = np.array([[at(flow(*settings, seed=seed), (0, 0, 0), 5.0 + lag)[:2] for lag in lags] for seed in range(400)])
+    waters = [WaterFlow(experiment, seed) for seed in range(400)]
+    speeds = np.array([[at(water, (0, 0, 0), 5.0 + lag)[:2] for lag in lags] for water in waters])
     correlation = (speeds[:, :1] * speeds).mean(axis=0) / 0.05**2
     assert correlation.mean(axis=1) == pytest.approx(np.exp(-np.array(lags) / 4.0), abs=0.12)
     assert abs((speeds[:, 0, 0] * speeds[:, 0, 1]).mean()) < 0.15 * 0.05**2

@@ -66,6 +66,15 @@ def test_a_run_that_waits_or_holds_gives_the_reason() -> None:
     assert line("pool", {1: tracking(0.0)}, "RUNNING", "mission: waiting for the fleet: depth").endswith("1 tracking 0 mm")
 
 
+def test_a_path_that_a_person_has_loaded_ends_when_it_is_planned_to() -> None:
+    hub = MemoryHub()
+    robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
+    for flight_s, other_path, shown in ((136.0, False, " / 120 s"), (100.8, True, " / 101 s")):
+        beat = StationHeartbeat(mission="RUNNING", flight_s=flight_s, other_path=other_path)
+        robots.publish(topics.HEARTBEAT, beat, 1)
+        assert shown in monitor.line()
+
+
 def test_time_flown_is_the_formations_and_not_that_of_a_flight_alone() -> None:
     """Faults of processes begin with it. Robot 1 is sent somewhere before the formation starts, and again later."""
     hub = MemoryHub()

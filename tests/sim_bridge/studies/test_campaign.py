@@ -20,7 +20,7 @@ from scipy import stats
 from typer.testing import CliRunner
 
 from groundstation.analysis.measures import TIMINGS
-from groundstation.analysis.statistics import mean
+from groundstation.analysis.statistics import Interval, mean
 from groundstation.planning import planner
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.config.loader import check
@@ -32,7 +32,8 @@ from sim_bridge.__main__ import cli
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
-from sim_bridge.studies.dependence import dependence, dependences, lines, reasons
+from sim_bridge.studies.dependence import KeyValue, dependence, dependences, lines, reasons
+from sim_bridge.studies.report import _panel  # a report holds it as a picture
 from sim_bridge.studies.statistics import distribution, quantile, rate
 from tests.forked import ended
 from tests.planted import installed
@@ -154,6 +155,16 @@ def test_differences_are_paired_and_flights_with_a_fault_are_counted_but_not_ave
     assert max(len(line) for line in lines(flights, dependences(loaded, flights))) <= 80
 
 
+def test_an_interval_is_drawn_from_its_lower_end_to_its_upper_one() -> None:
+    """A mean of one flight has no ends, and is drawn as a dot."""
+    means = [Interval(2.0, 1.5, 2.5), Interval(-1.0, -2.0, 0.0), Interval(3.0, None, None)]
+    none, measure = Interval(0.0, None, None), "rms_after_20s_m"
+    values = [KeyValue(str(k), 1, none, 0, {measure: [mean.value]}, {measure: mean}, {}) for k, mean in enumerate(means)]
+    axes = _panel("k", values, [0.0, 1.0, 2.0], measure, 4.0).axes[0]
+    drawn = [np.asarray(line.get_ydata()).tolist() for line in axes.lines if line.get_linewidth() == 2.0]
+    assert [ends for ends in ([1.5, 2.5], [-2.0, 0.0], [3.0, 3.0]) if ends not in drawn] == []
+
+
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("campaign") / "small"
@@ -223,9 +234,10 @@ def test_a_campaign_with_the_camera_refuses_what_has_none(changes: dict[str, Any
 
 
 def test_interrupted_campaign_continues_where_it_was(flown: Path, tmp_path: Path) -> None:
-    """Half a journal, its last line torn, and one flight that is now wanted otherwise."""
+    """Half a journal, lines that are no rows, its last line torn, and one flight that is now wanted otherwise."""
     lines = (flown / "journal.jsonl").read_text().splitlines()
-    (tmp_path / "journal.jsonl").write_text("\n".join([*lines[:2], lines[2][:40]]) + "\n")
+    no_rows = ["12", "[1]", "null", '{"status": "flown"}']
+    (tmp_path / "journal.jsonl").write_text("\n".join([*lines[:2], *no_rows, lines[2][:40]]) + "\n")
     with pytest.raises(ConfigError, match="--resume goes on with it"):
         fly(campaign(), tmp_path)
     assert fly(campaign(), tmp_path, resume=True) == 0
@@ -234,7 +246,7 @@ def test_interrupted_campaign_continues_where_it_was(flown: Path, tmp_path: Path
         for measured in ("wall_s", *TIMINGS):
             assert row.pop(measured) > 0.0
     assert fresh == kept
-    assert len((tmp_path / "journal.jsonl").read_text().splitlines()) == 5
+    assert len((tmp_path / "journal.jsonl").read_text().splitlines()) == 5 + len(no_rows)
 
 
 def test_any_key_can_be_swept_and_a_grown_campaign_goes_on(tmp_path: Path) -> None:

@@ -148,12 +148,12 @@ export function freed(d: Draft): Draft {
   return { ...d, shape: "", nodes: new Map(nodesOf(d)) };
 }
 
-/** Another kind of path, with points from the old one where it had none; a circle becomes laps, as many as last. */
+/** Another kind of path, with points from the old one where it had none; a circle becomes laps, as many as last, for a single one is not closed. */
 export function ofKind(d: Draft, kind: PathKind): Draft {
   const r = d.diameter / 2;
   const points: Point[] = d.points.length >= 2 ? d.points : [[-r, -r], [r, -r], [r, r], [-r, r]];
   const around = points.reduce((sum, [x, y], k) => sum + Math.hypot(points.at(k - 1)![0] - x, points.at(k - 1)![1] - y), 0);
-  const laps = d.kind === "circle" && kind === "waypoints" ? Math.ceil((1.2 * d.duration * d.speed) / around) : d.laps;
+  const laps = d.kind === "circle" && kind === "waypoints" ? Math.max(2, Math.ceil((1.2 * d.duration * d.speed) / around)) : d.laps;
   return { ...d, kind, points: kind === "circle" ? d.points : points, start: 0, laps };
 }
 

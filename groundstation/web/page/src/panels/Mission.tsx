@@ -5,7 +5,7 @@ import { OtherFlight, OtherFlightButton } from "./OtherFlight";
 import { TypedPlace } from "./TypedPlace";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
-import { robotNames, together } from "../robot/names";
+import { numbers, robotNames, together } from "../robot/names";
 import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
@@ -79,7 +79,7 @@ function standing(g: Request): [text: string, look: string] {
   if (outcome === null) return ["sent", ""];
   if (outcome.progress === "FAILED") return [`failed${outcome.reason && `: ${outcome.reason}`}`, "refused"];
   if (outcome.progress === "UNDER_WAY") return ["under way", ""];
-  return [outcome.confirmed.length > 0 ? `confirmed by ${outcome.confirmed.join(", ")}` : "done", "done"];
+  return [outcome.confirmed.length > 0 ? `confirmed by ${numbers(outcome.confirmed)}` : "done", "done"];
 }
 
 function Given() {

@@ -3,6 +3,7 @@
 
 import { useEffect } from "preact/hooks";
 import { order } from "../link";
+import { Motion } from "./Tiles";
 import { TypedPlace } from "./TypedPlace";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { driven, hold, letGo, pace, startDriving, stopDriving } from "../robot/drive";
@@ -62,25 +63,32 @@ function Pad() {
   );
 }
 
-function Way({ robot, possible }: { robot: number; possible: boolean }) {
-  const chosen = placesFor.value === robot ? places.value : null;
-  if (chosen === null) {
-    return (
-      <button type="button" class="order" disabled={!possible} onClick={() => choosePlaces(true, robot)} title="Choose a place on the map">
-        Send {robot} to…
-      </button>
-    );
-  }
+function SendButton({ robot, possible }: { robot: number; possible: boolean }) {
+  const open = places.value !== null && placesFor.value === robot;
   return (
-    <>
-      <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
-        {chosen.length === 0 ? "Click on the map, or type" : `Send robot ${robot} to (${chosen[0]!.join(", ")}) m`}
-      </button>
-      <button type="button" class="order" onClick={() => choosePlaces(false)}>
-        Cancel
-      </button>
+    <button type="button" class="order" aria-pressed={open} disabled={!possible && !open} onClick={() => choosePlaces(!open, robot)} title="Choose a place on the map">
+      Send {robot} to…
+    </button>
+  );
+}
+
+/** The place to which a robot is sent. Apart from the other buttons: none of them moves when it opens. */
+function Send({ robot, possible }: { robot: number; possible: boolean }) {
+  const chosen = placesFor.value === robot ? places.value : null;
+  if (chosen === null) return null;
+  return (
+    <div class="go-places">
+      <p class="hint">Click on the map, or type.</p>
       <TypedPlace />
-    </>
+      <div class="orders">
+        <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
+          {chosen.length === 0 ? `Send robot ${robot}` : `Send robot ${robot} to (${chosen[0]!.join(", ")}) m`}
+        </button>
+        <button type="button" class="order" onClick={() => choosePlaces(false)}>
+          Cancel
+        </button>
+      </div>
+    </div>
   );
 }
 
@@ -145,8 +153,10 @@ export function OneRobot() {
         <button type="button" class="order" disabled={!possible || !out} onClick={() => order("back-in", [], robot.id)} title="It is in the water again, and takes part">
           {robot.id} is back in
         </button>
-        <Way robot={robot.id} possible={flies} />
+        <SendButton robot={robot.id} possible={flies} />
       </div>
+      <Send robot={robot.id} possible={flies} />
+      {drives && <Motion robot={robot} />}
       {drives && <Pad />}
       {undriven.value !== "" && drives && <p class="reason" role="status">{undriven.value}</p>}
       {led !== undefined && <p class="hint" role="status">{led.text}</p>}

@@ -53,10 +53,10 @@ function speed(id: number): string {
   return nu === undefined ? "-" : Math.hypot(nu[0]!, nu[1]!).toFixed(3);
 }
 
-/** The mode, and along a path what decides the motion: "tracking, giving way". */
-function doing(state: RobotState): string {
-  const along = state.mode === "TRACKING" && state.guidance !== "NONE" ? `, ${state.guidance.toLowerCase().replace("_", " ")}` : "";
-  return `${MARK[state.mode]} ${state.mode.toLowerCase()}${along}`;
+/** The mode, and along a path what decides the motion: "tracking, giving way"; with little room that alone. */
+function doing(state: RobotState, short: boolean): string {
+  const [mode, along] = [state.mode.toLowerCase(), state.mode === "TRACKING" && state.guidance !== "NONE" ? state.guidance.toLowerCase().replace("_", " ") : ""];
+  return `${MARK[state.mode]} ${short && along !== "" ? along : [mode, along].filter((text) => text !== "").join(", ")}`;
 }
 
 /** What the board does, where that is not as the mode has it. */
@@ -70,6 +70,18 @@ function Fact({ name, value, bad }: { name: string; value: string; bad?: boolean
       <dt>{name}</dt>
       <dd>{value}</dd>
     </div>
+  );
+}
+
+/** How a robot moves, in a line: beside what it is driven with, for its tile may be out of sight. */
+export function Motion({ robot }: { robot: RobotNews }) {
+  now.value;
+  const [state, eta] = [robot.state, live.robots.get(robot.id)?.eta];
+  if (state === undefined || isStale(robot, live.sentMs)) return <p class="reason">not heard</p>;
+  return (
+    <p class="motion">
+      {doing(state, false)}: {speed(robot.id)} m/s, depth {eta?.[2]?.toFixed(2) ?? "-"} m, yaw {degrees(eta?.[3])}°, pose {state.track.toLowerCase()} {age(state.timing.pose_age_ms)}
+    </p>
   );
 }
 
@@ -95,7 +107,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
       <button type="button" class="name" aria-pressed={chosen} title="Choose it; with Shift or Ctrl, choose several">
         <span class="id">{robot.id}</span>
         <span class="mode">
-          {state ? doing(state) : "not heard"}
+          {state ? doing(state, s.robots.length > MANY) : "not heard"}
           {state?.board && <small>{unlike(state.mode, state.board.armed)}</small>}
         </span>
         <span class="age">{stale ? `${state ? "last heard " : ""}${state ? age(ageMs(robot, live.sentMs)) + " ago" : ""}` : age(ageMs(robot, live.sentMs))}</span>

@@ -13,6 +13,11 @@ export function together<T>(items: T[], words: (item: T) => string): [T, ...T[]]
 
 /** "robot 3", "robots 1, 2, 7", "robots 1 to 20, 25". */
 export function robotNames(ids: number[]): string {
+  return `robot${ids.length > 1 ? "s" : ""} ${numbers(ids)}`;
+}
+
+/** "3", "1, 2, 7", "1 to 20, 25". */
+export function numbers(ids: number[]): string {
   const runs: [first: number, last: number][] = [];
   for (const id of [...ids].sort((a, b) => a - b)) {
     const run = runs.at(-1);
@@ -20,5 +25,5 @@ export function robotNames(ids: number[]): string {
     else runs.push([id, id]);
   }
   const texts = runs.flatMap(([first, last]) => (last - first < 2 ? (last > first ? [`${first}`, `${last}`] : [`${first}`]) : [`${first} to ${last}`]));
-  return `robot${ids.length > 1 ? "s" : ""} ${texts.join(", ")}`;
+  return texts.join(", ");
 }
