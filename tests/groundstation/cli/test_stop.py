@@ -68,7 +68,10 @@ def test_a_person_who_waits_no_longer_is_told_that_nobody_has_heard(tmp_path: Pa
         silent.settimeout(120.0)
         address = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
         command = [sys.executable, "-P", "-m", "groundstation", *words, "--station", address, "--wait", "60"]
-        terminal = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | private)
+        terminal = subprocess.Popen(
+            command, stderr=subprocess.PIPE, text=True, env=os.environ | private,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
+        )  # fmt: skip
         try:
             with silent.accept()[0]:  # it tries to reach the station
                 terminal.send_signal(signal.SIGINT)
