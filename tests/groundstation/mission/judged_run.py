@@ -27,8 +27,8 @@ class RunRecord:
         self._largest_m = dict.fromkeys(fleet.robots, 0.0)  # true distance from the formation's trajectory, flying it
         self._whole = False  # the last run went all its way, with every robot
         self._lost = False
-        self._along_s = 0.0  # time of the last run with a robot on the formation's way, the way home left out
-        self._is_along = False  # in this cycle
+        self._along_s = 0.0  # time of the last flight with a robot on the formation's way, the way home left out
+        self._begins, self._is_along = True, False  # another flight; in this cycle
         fleet.on_state, fleet.on_beat = self.take_state, self.take_cycle
 
     def take_state(self, robot: int, state: RobotState, arrives: bool) -> None:
@@ -56,7 +56,9 @@ class RunRecord:
                 self._put(topics.TRAJECTORY, trajectory, robot)
         if mission.state is MissionState.STARTING:
             self._whole = self._lost = False
-            self._along_s = 0.0
+            self._begins = True
+        if self._begins and self._is_along:
+            self._along_s, self._begins = 0.0, False
         self._along_s += self._is_along * STEP_NS * 1e-9
         self._is_along = False
         self._lost = self._lost or (mission.state in COMMITTED and bool(mission.roster.lost))
