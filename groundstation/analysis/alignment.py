@@ -104,29 +104,32 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns) if number else (0, 0)
     recorded = {robot: _gather(log, robot, has_truth, window) for robot in experiment.robot_ids}
     with_flight = [r for r in recorded.values() if r.flew]
-    start_ns = max((r.start_ns for r in with_flight), default=_first_stamp_ns(log))
+    start_ns = _began_ns([r.start_ns for r in with_flight]) if with_flight else _first_stamp_ns(log)
     planned_s = _planned_s(experiment, log, window)
     whole_s = _end_s(recorded, with_flight, start_ns, planned_s)
     end_s = min(whole_s, 2.0 * planned_s + SPARE_S)
     rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if with_flight else 0
     time_s = np.arange(rows, dtype=np.float64) * experiment.controller.period_s
     located = any(len(r.truth.stamp_ns) > 1 for r in recorded.values())
+    home_ns = _sent_home_ns(log, flights[number - 1]) if number else None
+    reached_s = min((_reached_s(r, home_ns) for r in recorded.values()), default=0.0)
+    turned = home_ns is not None and reached_s < planned_s
     return Series(
         experiment=experiment,
         start_ns=start_ns,
         end_s=end_s,
         started=bool(with_flight),
-        reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
+        reached_s=reached_s,
         planned_s=planned_s,
         other_path=any(beat.other_path for beat in _beats(log, window)),
-        asked_s=_asked_s(experiment, with_flight, planned_s),
+        asked_s=_asked_s(experiment, () if turned else with_flight, planned_s),
         ended_s=(window[1] - start_ns) * 1e-9,
         time_s=time_s,
         robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, has_truth) for robot, r in recorded.items()},
         errors_against=None if not with_flight or not located else "truth" if has_truth else "localizer",
         frame_ms=_frame_times(log, start_ns),
         timeline_events=_happenings(log, recorded, start_ns),
-        sent_home_s=_sent_home_s(log, flights[number - 1], start_ns) if number else None,
+        sent_home_s=reached_s if home_ns is not None else None,
         cut_short=whole_s > end_s,
         flights=tuple(flights),
         flight=number,
@@ -141,7 +144,7 @@ def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
         return _first_stamp_ns(log)
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns)
     clocks = [_clock(_of_formation(log, robot), window) for robot in robots]
-    return max(_start_ns(clock_ns, clock_s) for clock_ns, clock_s in clocks if len(clock_s))
+    return _began_ns([_start_ns(clock_ns, clock_s) for clock_ns, clock_s in clocks if len(clock_s)])
 
 
 # --- flights
@@ -163,8 +166,8 @@ def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     for group, until_ns in zip(groups, ends, strict=True):
         begin_ns, over_ns = group[0][0], max(over_ns for _, over_ns, _, _ in group)
         flight = Flight(begin_ns, over_ns, until_ns, max(flown_s for _, _, flown_s, _ in group))
-        turned_s = _sent_home_s(log, flight, begin_ns)
-        flights.append(replace(flight, home=turned_s is not None and turned_s < TURNED_S))
+        home_ns = _sent_home_ns(log, flight)
+        flights.append(replace(flight, home=home_ns is not None and home_ns < begin_ns + TURNED_S * 1e9))
     return flights
 
 
@@ -196,11 +199,11 @@ def _chosen(flights: Sequence[Flight], choice: int | None) -> int:
     return outward[-1] if outward else len(flights)
 
 
-def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
-    """Time in a flight at which the station first reported the return of the fleet."""
+def _sent_home_ns(log: RunLog, flight: Flight) -> int | None:
+    """Instant in a flight at which the station first reported the return of the fleet."""
     for beat in log.of(topics.HEARTBEAT, StationHeartbeat):
         if flight.begin_ns <= beat.stamp_ns <= flight.over_ns and beat.message.mission == HOMEWARD:
-            return (beat.stamp_ns - start_ns) * 1e-9
+            return beat.stamp_ns
     return None
 
 
@@ -263,6 +266,18 @@ def _clock(states: Sequence[DecodedMessage[RobotState]], window: tuple[int, int]
 def _start_ns(clock_ns: Array, clock_s: Array) -> int:
     """Instant at which the robot's trajectory began, from its first step in flight."""
     return round(float(clock_ns[0]) - float(clock_s[0]) * 1e9)
+
+
+def _reached_s(r: _Recorded, home_ns: int | None) -> float:
+    """Progress of a robot along its trajectory, without the way home, on which its clock goes on."""
+    outward_s = r.clock_s if home_ns is None else r.clock_s[r.clock_ns <= home_ns]
+    return float(outward_s.max(initial=0.0))
+
+
+def _began_ns(starts_ns: Sequence[int]) -> int:
+    """Instant at which the flight began: the last start of the robots that started together. The clock of a robot that joins
+    after a hold says a later one, and what the others did before is flight all the same."""
+    return max(start_ns for start_ns in starts_ns if start_ns <= min(starts_ns) + BEGIN_S * 1e9)
 
 
 def _gather(log: RunLog, robot: int, has_truth: bool, window: tuple[int, int]) -> _Recorded:
@@ -406,6 +421,7 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
         gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
         inside = (stamps > r.clock_ns[after - 1]) & (stamps < r.clock_ns[after])
         reference[inside & (gap_ns > LONGEST_GAP_S * 1e9)] = np.nan
+    reference[stamps < r.clock_ns[0] - LONGEST_GAP_S * 1e9] = np.nan  # it had not joined yet
     reference[stamps > r.clock_ns[-1] + LONGEST_GAP_S * 1e9] = np.nan  # it was not heard again while it flew
     reference[_led_away(r, stamps)] = np.nan
     return reference

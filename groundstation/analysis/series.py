@@ -151,7 +151,7 @@ class Series:
     start_ns: int  # stamp of time 0
     end_s: float  # of the evaluation
     started: bool  # at least one robot flew
-    reached_s: float  # along the trajectory, by the slowest robot
+    reached_s: float  # along the trajectory, by the slowest robot, without the way home
     other_path: bool  # the path flown was another experiment's
     planned_s: float  # end of the flight along its trajectory as planned: the experiment's, or that of a path loaded later
     asked_s: float  # along the trajectory, what was to be flown: the same, or less where the path was over
@@ -161,7 +161,7 @@ class Series:
     errors_against: str | None  # "truth", "localizer", or None when there is nothing to compare with
     frame_ms: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (f, 2) time in s, processing time of a frame in ms
     timeline_events: tuple[TimelineEvent, ...] = ()
-    sent_home_s: float | None = None  # when the fleet turned home before the end
+    sent_home_s: float | None = None  # along the trajectory, where the fleet turned home
     cut_short: bool = False  # the evaluation ends before the flight does: its clock leaps
     flights: tuple[Flight, ...] = ()  # all of the log
     flight: int = 0  # number of this one, from 1; 0 if there is none
@@ -177,7 +177,7 @@ class Series:
         if not len(values):
             return 0.0
         has_truth = np.stack([np.isfinite(robot.truth).all(axis=1) for robot in self.robots.values()]).any(axis=0)
-        counted = np.logical_or.accumulate(has_truth)
+        counted = np.logical_or.accumulate(has_truth) if self.errors_against == "truth" else np.ones_like(has_truth)
         if rows is not None:
             counted &= rows
         is_known: Mask = np.asarray(np.isfinite(values).reshape(len(values), -1).all(axis=1))

@@ -16,7 +16,8 @@ INJECTED, ENDED = "fault: ", "fault over: "  # how the simulator tells what it b
 
 def once(events: Iterable[TimelineEvent]) -> tuple[TimelineEvent, ...]:
     """The events in order of time, each once. Left out are an agent's words for a mode that its states show, and replies
-    that such a mode confirms. A line that repeats is one event with its number and last time."""
+    that such a mode confirms. A line that repeats is one event with its number and last time; what comes from the flight's
+    beginning on, at 0, is another event than the same before."""
     ordered = sorted((replace(e, source=_source(e.source)) for e in events), key=lambda e: e.time_s)
     kept: list[TimelineEvent] = []
     latest: dict[tuple[str, str], int] = {}  # place in `kept` of the latest event with these words
@@ -25,7 +26,8 @@ def once(events: Iterable[TimelineEvent]) -> tuple[TimelineEvent, ...]:
         before = kept[latest[key]] if key in latest else None
         if before is not None and event.source.startswith("robot ") and event.time_s - before.last_s <= SAME_S:
             continue
-        if before is not None and event.time_s - before.last_s <= REPEATED_S:
+        is_of_flight = event.time_s >= 0.0
+        if before is not None and event.time_s - before.last_s <= REPEATED_S and is_of_flight is (before.time_s >= 0.0):
             kept[latest[key]] = replace(before, until_s=event.time_s, times=before.times + 1)
             continue
         latest[key] = len(kept)

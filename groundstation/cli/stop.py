@@ -78,6 +78,18 @@ def usable_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     return kept, complaints
 
 
+def without_options(arguments: Sequence[str]) -> list[str]:
+    """The words that are no options, nor values of those that `stop` has. A `stop` is nobody's value."""
+    words, left = list[str](), list(arguments)
+    while left:
+        word = left.pop(0)
+        if not word.startswith("-"):
+            words.append(word)
+        elif word in CHECKS and left[:1] != [NAME]:
+            del left[:1]
+    return words
+
+
 class StopCommand(TyperCommand):
     """A command that runs whatever its arguments are."""
 
@@ -92,8 +104,9 @@ class ProgramGroup(TyperGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the program's own options, after a `stop` has come to the front: all other words are its arguments."""
-        first = next((place for place, word in enumerate(args) if word in self.commands), 0)
-        if args[first : first + 1] == [NAME] or args[first : first + 2] in ([group, NAME] for group in GROUPS):
+        words = without_options(args)
+        first = next((place for place, word in enumerate(words) if word in self.commands), 0)
+        if words[first : first + 1] == [NAME] or words[first : first + 2] in ([group, NAME] for group in GROUPS):
             args = [NAME, *(word for word in args if word not in (NAME, *GROUPS))]
         return super().parse_args(ctx, args)
 

@@ -497,7 +497,7 @@ class Mission:
             self._needs_operator = True
         elif policy == "close-up" and not returns:
             self._run.gap = True
-            if not self._needs_operator:
+            if not (self._needs_operator and self.state is MissionState.PAUSED):
                 self._close_up(fleet, now_ns)
         elif next_state(self.state, MissionEvent.LOST_REPLAN) is not None:
             self._go(MissionEvent.LOST_REPLAN, now_ns)
@@ -757,6 +757,8 @@ class Mission:
             self.verdict = state
         elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
             self.verdict = None
+        if state in TERMINAL:  # it is over: a thruster test, which leads to WAITING, begins no other run
+            self._needs_operator = True
         if state is MissionState.HALTING and self.state not in PLANNING and isinstance(cause, MissionEvent):
             self._still_to_arm = frozenset()  # robots flew just now: one that is disarmed is lost
         if state in JOINING:  # one instant for all, the same in every command: late robots join where the others are

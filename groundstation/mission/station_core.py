@@ -20,6 +20,7 @@ from groundstation.mission.state_machine import AT_REST, MissionState, states_al
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
+from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.config.experiment import Experiment
 from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, DriveVelocity, Mode, Outcome, Progress
 
@@ -91,7 +92,10 @@ class StationCore:
         only: int = WHOLE_FLEET,
         text: str = "",
     ) -> tuple[str, int]:
-        """Take a request for the whole fleet, or for the robot `only`; a STOP is for every robot."""
+        """Take a request for the whole fleet, or for the robot `only`; a STOP is for every robot. Once the run is ended, only
+        what takes power away: the station is about to leave."""
+        if self.ended and order not in ALWAYS_TAKEN | {CommandKind.END}:
+            return "the run is ended", 0
         self._settle(fleet, now_ns)
         only = WHOLE_FLEET if order is CommandKind.STOP else only
         if only:

@@ -29,7 +29,7 @@ FILE = "depth-zero.json"
 MOST_BYTES = 1000
 STEP_M = 0.05  # the file follows the depth in such steps
 LOOK_S = 1.0  # between two looks at the telemetry
-WRITE_S = 10.0  # between two depths that are written, without waiting for the disk
+WRITE_S = 10.0  # between two depths that are written without waiting for the disk; a dive is written at once
 SLACK_S, DRIFT = 5.0, 0.01  # of the instant at which a board was switched on: what a burst waits, and how wrong its clock goes
 MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
 
@@ -131,7 +131,8 @@ class BoardZero:
         before = self._written
         if before is not None and before.zero_m == record.zero_m and self._same_life(before, record.at_s, record.board_on_s):
             moved_m = abs(record.depth_m - before.depth_m)
-            if moved_m < STEP_M or record.at_s - before.at_s < WRITE_S:
+            dives = before.depth_m <= STEP_M < record.depth_m  # with the depth at the surface it would be armed below
+            if moved_m < STEP_M or (record.at_s - before.at_s < WRITE_S and not dives):
                 return
         self._written = record
         try:

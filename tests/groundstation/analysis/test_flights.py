@@ -126,6 +126,55 @@ def test_a_robot_that_falls_out_and_comes_back_is_in_the_same_flight(flown: tupl
     assert len(alignment.flights) == 1 and alignment.reached_s == pytest.approx(DURATION_S)
 
 
+def test_a_robot_that_joins_after_a_hold_does_not_move_the_beginning_of_the_flight(tmp_path: Path) -> None:
+    """Robot 1 has a fault at 1 s; robot 2 is put in while it holds from 3 s to 9 s, and flies from there."""
+
+    def mode(robot: int, time_s: float) -> tuple[Mode, str]:
+        if robot == 2 and time_s < 9.5:
+            return Mode.DISARMED, ""
+        if 1.0 < time_s < 1.5:
+            return Mode.HOLDING, "no pose"
+        return (Mode.HOLDING if 3.0 <= time_s < 9.0 else Mode.TRACKING), ""
+
+    script = Script(duration_s=12.0, clock=lambda since_s: min(since_s, 3.0) + max(since_s - 9.0, 0.0), mode=mode)
+    experiment = write_run(tmp_path, script)
+    log = read_log(tmp_path / "run.mcap")
+    series = align(experiment, log)
+    assert series.start_ns == zero_ns(log, experiment.robot_ids) == pytest.approx(START_S * SECOND, abs=0.01 * SECOND)
+    assert [fault.text for fault in evaluate(series, log).faults] == ["holding: no pose"]
+    unknown = np.isnan(series.robots[2].reference[:, 0])
+    assert unknown[series.time_s < 8.9].all() and not unknown[series.time_s > 9.6].any()
+    assert np.isfinite(series.robots[1].reference[series.time_s < 0.9]).all()
+
+
+def test_a_flight_in_a_pool_whose_beginning_nobody_saw_has_not_passed(tmp_path: Path) -> None:
+    experiment = write_run(tmp_path, Script(duration_s=DURATION_S, truth=False))
+    log = read_log(tmp_path / "run.mcap")
+    late = {
+        key: [e for e in messages if key[0] != topics.POSE.name or e.stamp_ns > (START_S + 0.6 * DURATION_S) * SECOND]
+        for key, messages in log.entries.items()
+    }
+    assert result_of(experiment, log).passed
+    result = result_of(experiment, dataclasses.replace(log, entries=late))
+    separation = next(check for check in result.checks if check.name == "separation")
+    assert separation.failed and "pair 1-2: known for 40%" in separation.where
+    assert not result.passed
+
+
+def test_a_warning_that_goes_on_from_before_the_flight_is_a_fault_of_the_flight(
+    flown: tuple[Experiment, RunLog, Path],
+) -> None:
+    experiment, log, _ = flown
+    stamps = [round((START_S + at_s) * SECOND) for at_s in (-4.0, -1.0, 2.0, 5.0)]
+    warning = Event(3, "localizer", "camera absent: no frame for 0.25 s")
+    events = [DecodedMessage(ns, ns, k, warning) for k, ns in enumerate(stamps)]
+    result = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.EVENT.name, 0): events}))
+    (fault,) = result.faults
+    assert (fault.text, fault.times) == (warning.message, 2)
+    assert (fault.time_s, fault.last_s) == pytest.approx((2.0, 5.0))
+    assert not result.passed
+
+
 def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
     stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
     heartbeats = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
@@ -152,6 +201,18 @@ def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment
     assert result_of(experiment, beats(log, 2.0, MissionState.RUNNING.name)).passed
 
 
+def test_a_fleet_that_is_sent_home_after_a_long_hold_has_not_flown_the_run(tmp_path: Path) -> None:
+    """It holds at 4 s of 12 s for longer than the flight, and its clock goes on to 9 s on the way home."""
+    script = Script(duration_s=30.0, clock=lambda since_s: min(since_s, 4.0) + min(max(since_s - 20.0, 0.0), 5.0))
+    experiment = write_run(tmp_path, script).model_copy(update={"duration_s": 12.0})
+    log = with_path_until(read_log(tmp_path / "run.mcap"), experiment, 8.0, ends_log=False)
+    assert any(check.name == WHOLE_RUN and check.passed for check in result_of(experiment, log).checks)
+    result = result_of(experiment, beats(log, 20.0, HOMEWARD))
+    whole = next(check for check in result.checks if check.name == WHOLE_RUN)
+    assert whole.failed and (whole.value, whole.limit) == pytest.approx((4.0, 12.0), abs=0.1)
+    assert "sent home after 4.0 s of 12 s" in result.notes[0] and not result.passed
+
+
 @pytest.mark.parametrize("begin_s", [0.0, PERIOD_S])
 def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Path], begin_s: float) -> None:
     """Flown, and then, from where everybody lay, home, along a path that begins at 0, or a control period later."""
@@ -169,7 +230,7 @@ def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Pat
     assert series.flight == 1
 
 
-def with_path_until(log: RunLog, experiment: Experiment, end_s: float) -> RunLog:
+def with_path_until(log: RunLog, experiment: Experiment, end_s: float, ends_log: bool = True) -> RunLog:
     """The same, but the path is over then; robots stay where it ends, and their clocks go on a little."""
     samples = round(end_s / PERIOD_S) + 1 + experiment.controller.mpc.horizon
     entries = dict(log.entries)
@@ -182,7 +243,7 @@ def with_path_until(log: RunLog, experiment: Experiment, end_s: float) -> RunLog
                 for e in messages
             ]
             entries[key] = cut
-        elif key[0] == topics.STATE.name:
+        elif key[0] == topics.STATE.name and ends_log:
             entries[key] = [e for e in messages if e.stamp_ns <= (START_S + end_s) * SECOND]
     return dataclasses.replace(log, entries=entries)
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from groundstation.__main__ import cli
 from groundstation.cli.stop import CHECKS, FLAGS, NAME, usable_arguments
+from tests.forked import ended
 
 VALUES = st.one_of(
     st.floats().map(str),
@@ -39,6 +40,24 @@ def test_no_line_keeps_a_stop_from_being_sent(words: list[list[str]]) -> None:
     assert len(kept) + len(complaints) <= 2 * len(arguments)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["stop"],
+        ["mission", "stop"],
+        ["--fleet", "lab", "mission", "stop"],
+        ["mission", "--fleet", "lab", "stop"],
+        ["mission", "--wait=0", "--json", "stop"],
+        ["--fleet", "run", "stop"],
+        ["order", "--insecure", "stop"],
+    ],
+    ids=" ".join,
+)
+def test_a_stop_is_one_wherever_its_options_stand(words: list[str]) -> None:
+    code, output, errors = ended("groundstation", *words, "--station", "tcp/127.0.0.1:1", "--wait", "0")
+    assert code == 1 and "NOT HEARD" in output and "Usage" not in errors
+
+
 @pytest.mark.real_time
 @pytest.mark.parametrize("words", [["stop"], ["mission", "hold"]], ids=["stop", "hold"])
 def test_a_person_who_waits_no_longer_is_told_that_nobody_has_heard(tmp_path: Path, words: list[str]) -> None:
@@ -49,7 +68,10 @@ def test_a_person_who_waits_no_longer_is_told_that_nobody_has_heard(tmp_path: Pa
         silent.settimeout(120.0)
         address = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
         command = [sys.executable, "-P", "-m", "groundstation", *words, "--station", address, "--wait", "60"]
-        terminal = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | private)
+        terminal = subprocess.Popen(
+            command, stderr=subprocess.PIPE, text=True, env=os.environ | private,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
+        )  # fmt: skip
         try:
             with silent.accept()[0]:  # it tries to reach the station
                 terminal.send_signal(signal.SIGINT)

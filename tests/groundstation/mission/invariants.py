@@ -86,6 +86,7 @@ class Invariants:
     modes: dict[int, deque[Mode | None]] = field(default_factory=dict)
     ids: dict[int, deque[str]] = field(default_factory=dict)  # of the trajectories that robots had
     state: MissionState = MissionState.WAITING
+    has_ended: bool = False  # a run has, however: none begins by itself after that
     followed: dict[int, _Followed] = field(default_factory=dict)
     over: dict[int, Progress] = field(default_factory=dict)
     progress_s: float = 0.0
@@ -149,14 +150,16 @@ class Invariants:
         self.violated = False
 
     def _follow_people(self) -> None:
-        """Take in what people ask for without a request: they drive, and an automatic mission starts when all are fit."""
+        """Take in what people ask for without a request: they drive, and an automatic mission starts once all are fit."""
         pool, now_ns = self.pool, self.pool.now_ns
         for robot in pool.driving:
             self.driven_ns[robot] = now_ns
             self.rests.discard(robot)
             for followed in self.followed.values():
                 followed.alone = followed.alone and (followed.order is CommandKind.DRIVE or followed.only not in (0, robot))
-        if pool.automatic and self.state is MissionState.WAITING and pool.mission.state is MissionState.LOADING:
+        self.has_ended = self.has_ended or pool.mission.state in TERMINAL
+        by_itself = pool.automatic and not self.has_ended
+        if by_itself and self.state is MissionState.WAITING and pool.mission.state is MissionState.LOADING:
             self.arms_ns = dict.fromkeys(pool.robots, now_ns)
         self.state = pool.mission.state
         for outcome in pool.core.requests.recent:

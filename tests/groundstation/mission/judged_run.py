@@ -12,8 +12,9 @@ from groundstation.mission.state_machine import COMMITTED, MissionState
 from shoal.messages import topics
 from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory, Truth, required
 from shoal.messages.topics import Topic
-from tests.groundstation.mission.simulated_fleet import SimulatedFleet, armed
+from tests.groundstation.mission.simulated_fleet import STEP_NS, SimulatedFleet, armed
 
+LATE_S = 1.0  # a state may come as late, and the last one may have been lost
 BEYOND_M = 0.1  # of the largest true distance: the reference stands where a robot was told to hold, the robot a little further
 
 
@@ -26,6 +27,8 @@ class RunRecord:
         self._largest_m = dict.fromkeys(fleet.robots, 0.0)  # true distance from the formation's trajectory, flying it
         self._whole = False  # the last run went all its way, with every robot
         self._lost = False
+        self._along_s = 0.0  # time of the last flight with a robot on the formation's way, the way home left out
+        self._begins, self._is_along = True, False  # another flight; in this cycle
         fleet.on_state, fleet.on_beat = self.take_state, self.take_cycle
 
     def take_state(self, robot: int, state: RobotState, arrives: bool) -> None:
@@ -37,6 +40,7 @@ class RunRecord:
         if state.mode is Mode.TRACKING and plans.include(state.trajectory_id):
             away_m = float(np.linalg.norm(required(state.estimate).eta[:3] - required(state.control).eta_reference[:3]))
             self._largest_m[robot] = max(self._largest_m[robot], away_m)
+            self._is_along |= not mission.segment.is_return
 
     def take_cycle(self, beat: StationHeartbeat) -> None:
         """Take what the station publishes in a cycle."""
@@ -52,6 +56,11 @@ class RunRecord:
                 self._put(topics.TRAJECTORY, trajectory, robot)
         if mission.state is MissionState.STARTING:
             self._whole = self._lost = False
+            self._begins = True
+        if self._begins and self._is_along:
+            self._along_s, self._begins = 0.0, False
+        self._along_s += self._is_along * STEP_NS * 1e-9
+        self._is_along = False
         self._lost = self._lost or (mission.state in COMMITTED and bool(mission.roster.lost))
         if mission.state is MissionState.DONE and mission.verdict is MissionState.DONE and not mission.segment.is_return:
             self._whole = not self._lost
@@ -72,6 +81,9 @@ class RunRecord:
             )
         whole = next(check for check in result.checks if check.name == WHOLE_RUN)
         assert whole.passed or not self._whole, f"RESULT: all was flown, the report says {whole.value} of {whole.limit} s"
+        assert whole.value is None or whole.value <= self._along_s + LATE_S, (
+            f"RESULT: {self._along_s:.1f} s were flown, the report says {whole.value}"
+        )
 
     def _put(self, topic: Topic, message: Any, robot: int = 0) -> None:
         entries, now_ns = self._entries.setdefault((topic.name, robot), []), self._fleet.now_ns

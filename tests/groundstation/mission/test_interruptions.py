@@ -313,7 +313,7 @@ class Interruptions(RuleBasedStateMachine):
         self.mend()
         self.pool.run(2.0)
         self.record.judge()
-        if self.leaves and self.pool.mission.state is not MissionState.STOPPED:
+        if self.pool.core.ended or (self.leaves and self.pool.mission.state is not MissionState.STOPPED):
             self.leave()
         else:
             self.recover()

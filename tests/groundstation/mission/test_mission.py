@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.mission.mission import PATIENCE_S, STAGES, TEST_PATIENCE_S
+from groundstation.mission.mission import ATTENDED, PATIENCE_S, STAGES, TEST_PATIENCE_S
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.roster import Leader
 from groundstation.mission.state_machine import IN_FLIGHT, TERMINAL, MissionState
@@ -717,6 +717,37 @@ def test_a_robot_under_power_is_not_sent_arm() -> None:
     run.step(1.0)
     assert run.at(MissionState.TEST_ARMING)
     assert CommandKind.ARM not in [command.order for command in run.robots[2].got]
+
+
+@pytest.mark.parametrize("ends_it", [CommandKind.RETURN, CommandKind.DISARM])
+def test_a_thruster_test_after_a_run_begins_no_other(ends_it: CommandKind) -> None:
+    """A person has sent an automatic mission's fleet back, or disarmed it: all are at their starts, fit and disarmed. It waits
+    for just that to begin."""
+    run = running()
+    assert run.mission.request(ends_it, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    if ends_it is CommandKind.RETURN:
+        run.mission.planned(replace(next_leg(run, 0.05), is_return=True), run.fleet(), run.now_ns)
+        run.step(70.0)
+    assert run.mission.state in TERMINAL
+    for robot in run.robots.values():
+        robot.test = "passed"
+    assert run.mission.request(CommandKind.TEST, run.fleet(), run.now_ns) == ""
+    run.step(10.0)
+    assert run.at(MissionState.WAITING) and run.mission.reason == ATTENDED
+    assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    run.step(2.0)
+    assert run.at(MissionState.RUNNING)
+
+
+def test_a_gap_is_closed_also_after_a_person_has_led_another_robot() -> None:
+    run = three_running("close-up")
+    run.mission.lead(3, CommandKind.HOLD)
+    run.step(1.0)
+    run.robots[2].silent = True
+    run.step(0.5)
+    assert MissionState.HALTING in run.states and run.mission.roster.active == (1,)
 
 
 def test_a_thruster_test_that_does_not_end_is_given_up() -> None:

@@ -301,6 +301,20 @@ def test_a_run_that_another_request_goes_on_with_was_not_ended() -> None:
     assert outcome is not None and outcome.progress is Progress.FAILED and not fleet.core.ended
 
 
+def test_a_station_whose_run_is_ended_takes_only_what_takes_power_away() -> None:
+    """It tells pages and terminals of the end for a second more, and then leaves: robots would be armed, and led by nobody."""
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, PLACES))
+    fleet.run(1.0)
+    ask_fleet(fleet, CommandKind.END, 0)
+    fleet.run(0.5)
+    assert fleet.core.ended
+    for order, only in ((CommandKind.START, 0), (CommandKind.TEST, 0), (CommandKind.RETURN, 0), (CommandKind.ARM, 1)):
+        assert fleet.core.request(order, fleet.fleet, fleet.now_ns, only=only) == ("the run is ended", 0), order
+    fleet.run(1.0)
+    assert {robot.mode for robot in fleet.robots.values()} == {Mode.DISARMED}
+    assert ask_fleet(fleet, CommandKind.DISARM, 0) and ask_fleet(fleet, CommandKind.STOP, 0)
+
+
 def test_requests_are_done_when_a_robot_confirms_them_over_a_slow_radio() -> None:
     """Each of its states is older when it comes than those of a robot that is heard."""
     fleet = SimulatedFleet(an_experiment("go-on", TWO, CIRCLE))

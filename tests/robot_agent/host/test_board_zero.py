@@ -57,6 +57,17 @@ def test_a_board_and_its_computer_that_restart_under_water_do_not_arm_until_a_pe
     assert not any(CONFIRM in why for why in refusals(tmp_path, "third", 0.3, monkeypatch)), "nor does it come back"
 
 
+def test_a_robot_that_loses_its_power_just_after_it_has_dived_does_not_arm(tmp_path: Path) -> None:
+    """A wave had moved it at the surface a moment before: no file says any more that it was there."""
+    now_s = 0.0
+    program = BoardZero(tmp_path, "first", lambda: now_s)
+    for depth_m in [-0.02] * 20 + [0.035, -0.02, 0.2, 0.4, 0.6]:
+        now_s += 1.0
+        program.note(Telemetry(board_ms=round(now_s * 1e3), depth_m=depth_m))
+    zero_m = BoardZero(tmp_path, "second", lambda: 20.0).note(Telemetry(board_ms=5000, depth_m=0.0))
+    assert zero_m is not None and zero_m > RESTART_DEPTH_M
+
+
 def life(folder: Path, boot: str, at_s: float, on_for_s: float, depth_m: float) -> float | None:
     telemetry = Telemetry(board_ms=round(1e3 * on_for_s) % MS_WRAPS, depth_m=depth_m)
     return BoardZero(folder, boot, lambda: at_s).note(telemetry)

@@ -43,7 +43,7 @@ def _message(channel: int, stamp_ns: int, payload: bytes = b"") -> bytes:
 
 
 def _channel(number: int, topic: bytes) -> bytes:
-    return struct.pack("<HHI", number, 0, len(topic)) + topic
+    return struct.pack("<HHI", number, 0, len(topic)) + topic + struct.pack("<II", 0, 0)  # no encoding, no metadata
 
 
 def _packed(data: bytes, size: int, checksum: int = 0, packing: str = "") -> Packed:
@@ -84,7 +84,7 @@ def test_a_message_has_a_head_and_times_that_a_clock_can_show() -> None:
 
 def test_a_channel_has_its_whole_topic() -> None:
     assert channel_topic(_channel(9, b"pose")) == (9, "pose")
-    for damaged in (_channel(9, b"pose")[:-1], b"\0", _channel(9, b"\xff")):
+    for damaged in (_channel(9, b"pose")[:11], b"\0", _channel(9, b"\xff")):
         with pytest.raises(Damaged, match="a channel of"):
             channel_topic(damaged)
 
