@@ -36,6 +36,7 @@ from shoal.messages.messages import (
     RobotState,
     StationHeartbeat,
     Track,
+    Trajectory,
     Tuning,
 )
 from shoal.messages.topics import Qos
@@ -340,3 +341,36 @@ def test_an_autopilot_gets_no_pulses_and_no_requests_to_arm() -> None:
         stop.request()
         thread.join()
     assert there.received <= {"HEARTBEAT", "TIMESYNC"}
+
+
+@pytest.mark.parametrize(("away_m", "accepted"), [(0.0, True), (1.5, False)])
+def test_where_the_path_is_at_a_resume_is_judged_with_the_formations_lag(away_m: float, accepted: bool) -> None:
+    """The timetable that a RESUME names is ahead of the formation by its lag, 15 s here, of which the heartbeat tells."""
+    hub, lag_s, flown_s = MemoryHub(), 15.0, 10.0
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    robot = node.AgentNode(POOL, 1, bus, Board(), Stop(install=False))
+    bus.serve(1, robot.on_command)
+    eta, velocity = np.zeros((601, 4)), np.zeros((601, 4))
+    eta[:, 0], eta[:, 2], velocity[:, 0] = np.linspace(-1.5, 1.5, 601), 0.3, 0.1
+    path, x_m = Trajectory("straight", 0.05, eta, velocity, np.zeros((601, 4))), 0.1 * flown_s - 1.5 + away_m
+
+    def order(order: CommandKind, **content: Any) -> Reply:
+        for _ in range(5):
+            pose = Pose(x_m, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
+            station.publish(topics.POSE, pose, time.time_ns(), 1)
+            station.publish(topics.HEARTBEAT, StationHeartbeat(POOL.hash, lag_s=lag_s), time.time_ns())
+            now_ns = robot.clock.now_ns()
+            _, outputs = robot.step(now_ns, node.StepTime(now_ns))
+            robot.write(outputs, now_ns, now_ns, time.perf_counter_ns())
+            time.sleep(0.05)
+        return station.command(Command(order, 1, experiment_hash=POOL.hash, **content), time.time_ns(), 1.0)
+
+    order(CommandKind.HOLD)  # the first order learns whom it is for
+    assert order(CommandKind.LOAD, trajectory_id=path.id, trajectory=path).accepted
+    while not (reply := order(CommandKind.ARM)).accepted:
+        assert "parameters" in reply.reason
+    assert order(CommandKind.HOLD).accepted
+    begins = {"trajectory_id": path.id, "trajectory_s": flown_s + lag_s, "start_ns": time.time_ns() + 500_000_000}
+    reply = order(CommandKind.RESUME, **begins)
+    assert reply.accepted is accepted, reply.reason
+    assert accepted or "is 1.50 m from where its path is at 10.00 s" in reply.reason
