@@ -1,5 +1,6 @@
 """A robot's program: when it steps, what it does when something in it is slow or breaks, how it ends."""
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -100,6 +101,21 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
         "told to stop; neutral and disarm may not have reached the thruster board (/dev/none: not there; is the board plugged "
         "in, and powered?), which has not said within 0.25 s that it is disarmed",
     ]
+
+
+def test_what_no_port_has_sent_is_not_said_to_be_sent(caplog: pytest.LogCaptureFixture) -> None:
+    """A program that ends just after the opening of its port, which is quiet until the board has spoken."""
+    here, there = os.openpty()
+    os.set_blocking(here, False)
+    link, stop = open_link(f"serial:{os.ttyname(there)}"), Stop(install=False)
+    stop.request()
+    node.AgentNode(POOL, 1, Bus(MemoryTransport(MemoryHub())), link, stop).run()
+    with pytest.raises(BlockingIOError):
+        os.read(here, 1)
+    assert "neutral and disarm may not have reached the thruster board (it has not been heard yet)" in caplog.text
+    link.close()
+    os.close(here)
+    os.close(there)
 
 
 class AnswersLater(Link):
