@@ -103,7 +103,7 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
     ]
 
 
-def test_what_no_port_has_sent_is_not_said_to_be_sent(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_program_says_sent_only_of_what_may_have_gone_to_a_board_it_has_heard(caplog: pytest.LogCaptureFixture) -> None:
     """A program that ends just after the opening of its port, which is quiet until the board has spoken."""
     here, there = os.openpty()
     os.set_blocking(here, False)

@@ -196,11 +196,11 @@ def test_a_worker_that_dies_takes_no_seed_with_it_that_all_have_flown(
 
     monkeypatch.setattr(comparison, "fly", mortal)
     monkeypatch.setattr(comparison, "worker_pool", ThreadPoolExecutor)
-    said = io.StringIO()
+    screen = io.StringIO()
 
     def run() -> int:
         return comparison.run(
-            "numeric", ["duration_s=20.5"], ["pid", "lqr"], [1, 2], 0.0, 1, tmp_path, Console(file=said, width=200)
+            "numeric", ["duration_s=20.5"], ["pid", "lqr"], [1, 2], 0.0, 1, tmp_path, Console(file=screen, width=200)
         )
 
     if lost == {1, 2}:
@@ -210,7 +210,7 @@ def test_a_worker_that_dies_takes_no_seed_with_it_that_all_have_flown(
     assert run() == 1
     kept = Comparison.from_json((tmp_path / "comparison.json").read_text())
     assert [[flight.seed for flight in variant.flights] for variant in kept.variants] == [[1], [1]]
-    assert "1 of 2 seeds were flown by all" in said.getvalue()
+    assert "1 of 2 seeds were flown by all" in screen.getvalue()
 
 
 def test_a_law_that_loses_its_robots_is_compared_and_said_to_have_failed() -> None:
