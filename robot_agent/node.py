@@ -174,6 +174,8 @@ class AgentNode:
             log.log(level, "%s; neutral and disarm sent to the thruster board, which says that it is disarmed", why)
             return
         silence, trouble = f"which has not said within {LEAVE_S:g} s that it is disarmed", self.link.trouble
+        if not trouble and not self.mavlink.telemetry.heartbeats:  # a port sends nothing to a board that has not spoken
+            trouble = "it has not been heard yet"
         outcome = f"may not have reached the thruster board ({trouble})" if trouble else "sent to the thruster board"
         log.log(max(level, logging.WARNING), "%s; neutral and disarm %s, %s", why, outcome, silence)
 

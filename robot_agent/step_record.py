@@ -59,9 +59,8 @@ def record_command(
     before_step: int, number: int, clock: Clock, header: Header, command: Command, heartbeat: Received[StationHeartbeat] | None
 ) -> CommandTaken:
     """Record of a command, without its reply."""
-    station = _station(clock, heartbeat)
-    del station["heartbeat"]
-    return CommandTaken(before_step, number, header.session, header.sequence, header.stamp_ns, command=command, **station)
+    judged_by = _station(clock, heartbeat)
+    return CommandTaken(before_step, number, header.session, header.sequence, header.stamp_ns, command=command, **judged_by)
 
 
 def inputs_of(record: StepInputs, plans: Mapping[int, Plan], obstacles: Obstacles | None, now_ns: int) -> Inputs:
@@ -85,7 +84,7 @@ def station_view(record: StepInputs | CommandTaken, now_ns: int) -> StationView:
         return StationView()
     age_ns = now_ns - record.station_instant_ns
     view = StationView(record.station_session, record.station_stamp_ns + age_ns, age_ns * 1e-9)
-    beat = record.heartbeat if isinstance(record, StepInputs) else None
+    beat = record.heartbeat
     return view if beat is None else replace(view, lag_s=beat.lag_s, slowing=beat.slowing, out=beat.out)
 
 

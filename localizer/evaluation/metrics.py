@@ -130,12 +130,13 @@ def camera_rows(poses: Sequence[PublishedPose], truth: Mapping[int, GroundTruthT
     where those cameras stay the same and where they change: the step that a hand-over makes. Its NEES is with the sum of both
     covariances.
     """
-    measured: dict[tuple[int, int], set[str]] = {}
+    measured: dict[int, dict[str, list[int]]] = {}
     for pose in poses:
         if pose.camera and pose.pose.track >= Track.KCF:
-            measured.setdefault((pose.robot, pose.stamp_ns), set()).add(pose.camera)
+            measured.setdefault(pose.robot, {}).setdefault(pose.camera, []).append(pose.stamp_ns)
     if not measured:
         return []
+    pictures = {robot: {name: np.unique(stamps) for name, stamps in each.items()} for robot, each in measured.items()}
     groups: dict[str, list[_PoseError]] = {}
     last: dict[int, tuple[set[str], _PoseError]] = {}
     for pose in sorted(poses, key=lambda pose: pose.stamp_ns):
@@ -145,7 +146,8 @@ def camera_rows(poses: Sequence[PublishedPose], truth: Mapping[int, GroundTruthT
         if pose.camera:
             groups.setdefault(f"camera {pose.camera}", []).append(error)
             continue
-        seen_by = measured.get((pose.robot, pose.stamp_ns), set())
+        each = pictures.get(pose.robot, {})
+        seen_by = {camera for camera, stamps_ns in each.items() if _has_picture(stamps_ns, pose.stamp_ns)}
         groups.setdefault(f"seen by {len(seen_by)}", []).append(error)
         before = last.get(pose.robot)
         if before is not None:
@@ -153,6 +155,13 @@ def camera_rows(poses: Sequence[PublishedPose], truth: Mapping[int, GroundTruthT
             groups.setdefault(f"step, {same}", []).append(_change(before[1], error))
         last[pose.robot] = seen_by, error
     return [_pose_row(subject, group) for subject, group in sorted(groups.items())]
+
+
+def _has_picture(stamps_ns: Array, at_ns: int) -> bool:
+    """True if the nearest of a camera's pictures is less than half of the time between two of them away: stamps of several
+    clocks agree to some milliseconds, and cameras need not expose at one instant."""
+    period_ns = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
+    return bool(2.0 * np.min(np.abs(stamps_ns - at_ns)) < max(period_ns, 1.0))
 
 
 def _change(before: _PoseError, after: _PoseError) -> _PoseError:

@@ -28,7 +28,6 @@ KEPT, AIR = "kept", "air"  # what is kept is right; the robot is in air, take th
 REFUSED = "refused "  # begins the answer to a request that was refused; the reason follows
 MOST_BYTES = 200
 LOOK_S = 0.5  # of the robot's program at the folder; and how often the board is told again
-ANSWERED = ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED))  # as far as the board can carry it out
 WITHIN_S = 4.0  # for the robot's program, and for the board, beyond what it needs before it speaks
 
 
@@ -51,7 +50,7 @@ class ZeroRequests:
         request = self._read()
         if not request or request != self._open:
             self._open, self._before = request, board.acknowledgements
-        elif board.acknowledgements > self._before and board.acknowledged in ANSWERED:
+        elif board.acknowledgements > self._before and board.acknowledged in answers(request.startswith(AIR)):
             link.set_zero(0.0)  # of a board that does not report its restarts
             self._end()
             return b""
@@ -67,7 +66,7 @@ class ZeroRequests:
         """The reason why the board does not carry out the open request; empty if there is none."""
         if board.autopilot_name:
             return f"{board.autopilot_name} is on the link, no thruster board"
-        return refusal_of(board) if board.acknowledgements > self._before else ""
+        return refusal_of(board, self._open.startswith(AIR)) if board.acknowledgements > self._before else ""
 
     def _read(self) -> str:
         """The request in the folder, all of its text; empty if there is none, or its command has ended."""
@@ -93,11 +92,19 @@ class ZeroRequests:
             replace_text(self._folder / FILE, f"{REFUSED}{reason}", durable=False)
 
 
-def refusal_of(board: Telemetry) -> str:
-    """Text of a board that has refused to confirm its zero; empty if it has not."""
+def answers(in_air: bool) -> tuple[tuple[int, int], ...]:
+    """The answers of a board that has carried a request out, as far as there is something to do: one that knows no such
+    command keeps its zero, and takes none anew."""
+    return ((CALIBRATE, ACCEPTED),) if in_air else ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED))
+
+
+def refusal_of(board: Telemetry, in_air: bool) -> str:
+    """Text of a board that has refused a request; empty if it has not."""
     answer = board.acknowledged
-    if answer is None or answer[0] != CALIBRATE or answer in ANSWERED:
+    if answer is None or answer[0] != CALIBRATE or answer in answers(in_air):
         return ""
+    if answer[1] == UNSUPPORTED:
+        return "the board cannot take its zero anew when it is told to: restart it in air"
     return f"the board refuses: {board.texts[-1][1] if board.texts else f'MAV_RESULT {answer[1]}'}"
 
 
@@ -150,7 +157,8 @@ def ask_program(folder: Path, in_air: bool) -> bool:
 
 def tell_board(config: AgentConfig, in_air: bool) -> Telemetry:
     """Send the request over the link. Returns what the board reports since it has answered; it has answered UNSUPPORTED if it
-    knows no such command, and `board_ms` is -1 if no depth came. Raises ConfigError if the board refuses."""
+    is to keep its zero and knows no such command, and `board_ms` is -1 if no depth came. Raises ConfigError if the board
+    refuses."""
     wires, signing = open_board_link(config)
     mavlink = agent_end(config.robot, signing)
     answered_ms: int | None = None  # time of the burst before the answer, on the board's clock
@@ -167,9 +175,9 @@ def tell_board(config: AgentConfig, in_air: bool) -> Telemetry:
             telemetry = mavlink.telemetry
             if answered_ms is not None and telemetry.board_ms != answered_ms:
                 return telemetry
-            if telemetry.acknowledged in ANSWERED:
+            if telemetry.acknowledged in answers(in_air):
                 answered_ms = telemetry.board_ms
-            elif refusal := refusal_of(telemetry):
+            elif refusal := refusal_of(telemetry, in_air):
                 raise ConfigError(f"{config.link}: {refusal}")
         if answered_ms is not None:
             return replace(mavlink.telemetry, board_ms=-1)

@@ -525,6 +525,7 @@ class CommandTaken:
     station_instant_ns: Annotated[Int64, 8] = 0  # Instant of that heartbeat, on the robot's clock.
     command: Annotated[Command | None, 9] = None
     reply: Annotated[Reply | None, 10] = None
+    heartbeat: Annotated[StationHeartbeat | None, 11] = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from shoal.config.experiment import Experiment
 from shoal.config.loader import check
 from shoal.errors import ConfigError
 from shoal.messages.messages import Trajectory
+from shoal.runtime.runtime import Failed
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from sim_bridge.in_process.run import plan
 
@@ -56,7 +57,7 @@ def _flown(experiment: Experiment) -> dict[str, Any]:
 
 def _flown_with_camera(experiment: Experiment) -> dict[str, Any]:
     """Fly in lockstep in this process, and judge the log as its report does. Raises ConfigError if the station refuses the
-    experiment, Failed if a part of the run has ended."""
+    experiment, Failed if a part of the run has ended, or the log does not hold all of it."""
     from groundstation.report.report import evaluated  # these load every program: not for numeric flights
     from shoal.bus.memory_transport import MemoryHub
     from sim_bridge.in_process.executor import Executor
@@ -69,7 +70,10 @@ def _flown_with_camera(experiment: Experiment) -> dict[str, Any]:
     )
     with tempfile.TemporaryDirectory(prefix="shoal-flight-") as folder:
         Executor(quiet, Path(folder), MemoryHub()).fly()
-        return _row(*evaluated(Path(folder)))
+        series, log, result = evaluated(Path(folder))
+    if log.trouble:  # a full disk, as of several workers: figures of a part are none of a flight
+        raise Failed(log.trouble)
+    return _row(series, log, result)
 
 
 def _row(series: Series, log: RunLog, result: Result) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 import math
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -104,12 +105,11 @@ def run(
         )
     experiments = _distinct({v: load_experiment(name, [*settings, *changes_of(v), NO_CAMERA]) for v in variants}, console)
     planned = tasks_of(plain, seeds, scatter)  # the same for all: variants differ in what flies it
-    tasks = [replace(task, experiment=e) for e in experiments.values() for task in planned]
+    tasks = [replace(task, experiment=e) for task in planned for e in experiments.values()]  # what is cut off has whole seeds
     with worker_pool(jobs) as pool:
-        flights = list(_watched(pool.map(fly, tasks), len(tasks), console))
-    results = [
-        Variant(v, list(changes_of(v)), flights[i * len(seeds) : (i + 1) * len(seeds)]) for i, v in enumerate(experiments)
-    ]
+        flights = _watched([pool.submit(fly, task) for task in tasks], console)
+    whole = _whole_seeds(flights, len(experiments))
+    results = [Variant(v, list(changes_of(v)), [seed[i] for seed in whole]) for i, v in enumerate(experiments)]
     comparison = Comparison(
         scene=plain.name,
         title=plain.title or plain.name,
@@ -123,8 +123,14 @@ def run(
         commit=code().commit,
     )
     _write(folder / "comparison.json", comparison.to_json())
+    lost = next((flight for flight in flights if not isinstance(flight, FlightRecord)), None)
+    if lost is not None:
+        console.print(
+            f"{len(whole)} of {len(seeds)} seeds were flown by all; of the others one ended so: {type(lost).__name__}: {lost}",
+            style="red", highlight=False, soft_wrap=True,
+        )  # fmt: skip
     flush()
-    return programs.start("groundstation", ["benchmark", "report", str(folder)]).wait()
+    return programs.start("groundstation", ["benchmark", "report", str(folder)]).wait() or int(lost is not None)
 
 
 def _write(path: Path, text: str) -> None:
@@ -151,11 +157,26 @@ def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> li
     return [FlightTask(experiment, trajectories, scattered(places, scatter, s, apart_m), s, s == seeds[0]) for s in seeds]
 
 
-def _watched(flights: Iterable[FlightRecord], count: int, console: Console) -> Iterator[FlightRecord]:
-    """The flights, with a progress bar."""
+def _watched(flights: Sequence[Future[FlightRecord]], console: Console) -> list[FlightRecord | BaseException]:
+    """The flights in their order, or what ended them, with a progress bar."""
     columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
-        yield from progress.track(flights, total=count)
+        try:
+            return [flight.exception() or flight.result() for flight in progress.track(flights)]
+        finally:  # interrupted: what has not begun is not flown
+            for flight in flights:
+                flight.cancel()
+
+
+def _whole_seeds(flights: Sequence[FlightRecord | BaseException], variants: int) -> list[list[FlightRecord]]:
+    """The flights of each seed that all variants have flown. One that ends otherwise takes no others with it: they may be
+    hours. Raises what ended the first one if no seed is whole."""
+    by_seed = [flights[k : k + variants] for k in range(0, len(flights), variants)]
+    whole = [[f for f in seed if isinstance(f, FlightRecord)] for seed in by_seed]
+    whole = [seed for seed in whole if len(seed) == variants]
+    if not whole:
+        raise next(flight for flight in flights if isinstance(flight, BaseException))
+    return whole
 
 
 def _distinct(experiments: dict[str, Experiment], console: Console) -> dict[str, Experiment]:

@@ -1,5 +1,6 @@
 """A robot's program: when it steps, what it does when something in it is slow or breaks, how it ends."""
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -36,6 +37,7 @@ from shoal.messages.messages import (
     RobotState,
     StationHeartbeat,
     Track,
+    Trajectory,
     Tuning,
 )
 from shoal.messages.topics import Qos
@@ -99,6 +101,21 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
         "told to stop; neutral and disarm may not have reached the thruster board (/dev/none: not there; is the board plugged "
         "in, and powered?), which has not said within 0.25 s that it is disarmed",
     ]
+
+
+def test_a_program_says_sent_only_of_what_may_have_gone_to_a_board_it_has_heard(caplog: pytest.LogCaptureFixture) -> None:
+    """A program that ends just after the opening of its port, which is quiet until the board has spoken."""
+    here, there = os.openpty()
+    os.set_blocking(here, False)
+    link, stop = open_link(f"serial:{os.ttyname(there)}"), Stop(install=False)
+    stop.request()
+    node.AgentNode(POOL, 1, Bus(MemoryTransport(MemoryHub())), link, stop).run()
+    with pytest.raises(BlockingIOError):
+        os.read(here, 1)
+    assert "neutral and disarm may not have reached the thruster board (it has not been heard yet)" in caplog.text
+    link.close()
+    os.close(here)
+    os.close(there)
 
 
 class AnswersLater(Link):
@@ -340,3 +357,36 @@ def test_an_autopilot_gets_no_pulses_and_no_requests_to_arm() -> None:
         stop.request()
         thread.join()
     assert there.received <= {"HEARTBEAT", "TIMESYNC"}
+
+
+@pytest.mark.parametrize(("away_m", "accepted"), [(0.0, True), (1.5, False)])
+def test_where_the_path_is_at_a_resume_is_judged_with_the_formations_lag(away_m: float, accepted: bool) -> None:
+    """The timetable that a RESUME names is ahead of the formation by its lag, 15 s here, of which the heartbeat tells."""
+    hub, lag_s, flown_s = MemoryHub(), 15.0, 10.0
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    robot = node.AgentNode(POOL, 1, bus, Board(), Stop(install=False))
+    bus.serve(1, robot.on_command)
+    eta, velocity = np.zeros((601, 4)), np.zeros((601, 4))
+    eta[:, 0], eta[:, 2], velocity[:, 0] = np.linspace(-1.5, 1.5, 601), 0.3, 0.1
+    path, x_m = Trajectory("straight", 0.05, eta, velocity, np.zeros((601, 4))), 0.1 * flown_s - 1.5 + away_m
+
+    def order(order: CommandKind, **content: Any) -> Reply:
+        for _ in range(5):
+            pose = Pose(x_m, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
+            station.publish(topics.POSE, pose, time.time_ns(), 1)
+            station.publish(topics.HEARTBEAT, StationHeartbeat(POOL.hash, lag_s=lag_s), time.time_ns())
+            now_ns = robot.clock.now_ns()
+            _, outputs = robot.step(now_ns, node.StepTime(now_ns))
+            robot.write(outputs, now_ns, now_ns, time.perf_counter_ns())
+            time.sleep(0.05)
+        return station.command(Command(order, 1, experiment_hash=POOL.hash, **content), time.time_ns(), 1.0)
+
+    order(CommandKind.HOLD)  # the first order learns whom it is for
+    assert order(CommandKind.LOAD, trajectory_id=path.id, trajectory=path).accepted
+    while not (reply := order(CommandKind.ARM)).accepted:
+        assert "parameters" in reply.reason
+    assert order(CommandKind.HOLD).accepted
+    begins = {"trajectory_id": path.id, "trajectory_s": flown_s + lag_s, "start_ns": time.time_ns() + 500_000_000}
+    reply = order(CommandKind.RESUME, **begins)
+    assert reply.accepted is accepted, reply.reason
+    assert accepted or "is 1.50 m from where its path is at 10.00 s" in reply.reason

@@ -202,3 +202,28 @@ def test_a_zero_is_not_kept_with_a_depth_that_the_board_has_not_reported(
     done = CliRunner().invoke(cli, ["confirm-zero", "--config", str(agent_toml), "--state", str(tmp_path)])
     assert done.exit_code == 1 and "reports no depth" in f"{done.output}{done.exception}"
     assert board_zero.read_record(tmp_path) == before
+
+
+def test_a_board_that_cannot_take_its_zero_anew_is_not_said_to_have_done_so(
+    agent_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was switched on 0.25 m deep, so in air it reports -0.25 m: armed, the robot would fly that much too deep."""
+    before = board_zero.ZeroRecord("earlier", 100.0, 50.0, 0.25, 0.25)
+    board_zero.write_record(tmp_path, before, durable=False)
+    monkeypatch.setattr(zero_request, "open_board_link", lambda config: (Switched(zero_m=0.25), None))
+    monkeypatch.setattr(zero_request, "WITHIN_S", 1.0)
+    done = CliRunner().invoke(cli, ["confirm-zero", "--config", str(agent_toml), "--state", str(tmp_path), "--in-air"])
+    assert "restart it in air" in str(done.exception), done.output
+    assert board_zero.read_record(tmp_path) == before
+
+    link, board, now_s = AgentLink(1), Switched(zero_m=0.25), 0.0
+    requests = ZeroRequests(tmp_path, lambda: now_s)
+    link.set_zero(0.25)
+    write_request(tmp_path / zero_request.FILE, in_air=True)
+    for _ in range(4):  # the robot's program has the link
+        time.sleep(0.01)  # the request's time is rounded
+        now_s += zero_request.LOOK_S
+        board.send(requests.step(link))
+        link.receive(board.read(), round(now_s * 1e9))
+    assert "restart it in air" in (tmp_path / zero_request.FILE).read_text(encoding="ascii")
+    assert link.telemetry.power_on_depth_m >= 0.25

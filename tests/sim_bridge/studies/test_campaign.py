@@ -415,6 +415,19 @@ def test_results_that_find_no_room_are_not_announced(flown: Path, tmp_path: Path
     assert "4 of 4 flights flown" in done.stdout and "report:  " not in done.stdout
 
 
+@pytest.mark.slow
+def test_a_flight_whose_log_found_no_room_is_not_told_as_flown() -> None:
+    """Its figures would be those of a part of it, and --resume would not fly it again."""
+    experiment = load_experiment("pool", ["duration_s=1.5"]).model_dump_json()
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000,) * 2)"
+    script = f"{limit}; import json, sys; from sim_bridge.studies.campaign_flight import fly_one"
+    script += "; print(json.dumps(fly_one(sys.stdin.read())))"
+    done = subprocess.run([sys.executable, "-c", script], input=experiment, capture_output=True, text=True, check=True)
+    row = json.loads(done.stdout.splitlines()[-1])
+    assert (row["status"], row["reason"].partition(":")[0]) == ("failed", "Failed")
+    assert "Cut log" in row["reason"] and "rms_m" not in row
+
+
 @pytest.mark.real_time
 def test_workers_end_with_a_campaign_that_is_killed(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(tomli_w.dumps({**TABLE, "seeds": 1000}))

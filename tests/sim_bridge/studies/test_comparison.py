@@ -1,10 +1,13 @@
 """Comparison of control laws: variants, scattered starts, and figures equal to those of single flights."""
 
+import io
 import math
 import os
 import subprocess
 import tempfile
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +18,7 @@ import pytest
 import tomli_w
 from rich.console import Console
 
-from groundstation.analysis.comparison import Comparison, Variant
+from groundstation.analysis.comparison import Comparison, FlightRecord, Variant
 from groundstation.planning import planner
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
@@ -180,6 +183,34 @@ def test_flights_are_kept_elsewhere_where_the_disk_does_not_take_them(tmp_path: 
     (kept,) = tmp_path.glob("comparison-*/comparison.json")
     assert str(kept.parent) in str(refusal.value)
     assert [variant.name for variant in Comparison.from_json(kept.read_text()).variants] == ["nmpc"]
+
+
+@pytest.mark.parametrize("lost", [{2}, {1, 2}])
+def test_a_worker_that_dies_takes_no_seed_with_it_that_all_have_flown(
+    lost: set[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def mortal(task: FlightTask) -> FlightRecord:
+        if task.seed in lost:
+            raise BrokenProcessPool("terminated abruptly")
+        return fly(task)
+
+    monkeypatch.setattr(comparison, "fly", mortal)
+    monkeypatch.setattr(comparison, "worker_pool", ThreadPoolExecutor)
+    screen = io.StringIO()
+
+    def run() -> int:
+        return comparison.run(
+            "numeric", ["duration_s=20.5"], ["pid", "lqr"], [1, 2], 0.0, 1, tmp_path, Console(file=screen, width=200)
+        )
+
+    if lost == {1, 2}:
+        with pytest.raises(BrokenProcessPool):
+            run()
+        return
+    assert run() == 1
+    kept = Comparison.from_json((tmp_path / "comparison.json").read_text())
+    assert [[flight.seed for flight in variant.flights] for variant in kept.variants] == [[1], [1]]
+    assert "1 of 2 seeds were flown by all" in screen.getvalue()
 
 
 def test_a_law_that_loses_its_robots_is_compared_and_said_to_have_failed() -> None:
