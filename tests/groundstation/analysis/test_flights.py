@@ -175,6 +175,31 @@ def test_a_warning_that_goes_on_from_before_the_flight_is_a_fault_of_the_flight(
     assert not result.passed
 
 
+@pytest.mark.parametrize("source", ["agent-1", "localizer"])
+def test_a_line_just_before_the_flight_hides_none_of_the_flight(flown: tuple[Experiment, RunLog, Path], source: str) -> None:
+    experiment, log, _ = flown
+    stamps = [round((START_S + at_s) * SECOND) for at_s in (-0.4, 0.3)]
+    events = [DecodedMessage(ns, ns, k, Event(4, source, "the board is silent")) for k, ns in enumerate(stamps)]
+    result = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.EVENT.name, 0): events}))
+    assert [fault.time_s for fault in result.faults] == pytest.approx([0.3])
+    assert not result.passed
+
+
+def test_what_ended_a_flight_is_not_sought_in_the_next(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    both = with_aborted_flight(log, 4.0)
+    unfaulted = {
+        key: [e for e in messages if key[0] != topics.STATE.name or not e.message.fault]
+        for key, messages in both.entries.items()
+    }
+    ns = round((START_S + 3.0) * SECOND)
+    lines = ["mission: holding: robot 2 is 1.4 s behind the others", "fault: camera frozen"]
+    unfaulted[topics.EVENT.name, 0] = [DecodedMessage(ns, ns, k, Event(2, "groundstation", t)) for k, t in enumerate(lines)]
+    result = result_of(experiment, dataclasses.replace(both, entries=unfaulted), flight=1)
+    assert result.cause is not None and result.cause.noticed_by == "the report"
+    assert result.cause.injected == ""
+
+
 def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
     stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
     heartbeats = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
