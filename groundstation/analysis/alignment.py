@@ -123,6 +123,7 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
         reached_s=reached_s,
         planned_s=planned_s,
         other_path=any(beat.other_path for beat in beats),
+        out_of_water=frozenset(robot for beat in beats for robot in beat.out),
         asked_s=_asked_s(experiment, () if turned else with_flight, planned_s),
         ended_s=(window[1] - start_ns) * 1e-9,
         time_s=time_s,
@@ -137,10 +138,11 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
     )
 
 
-def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
-    """The stamp of time 0, as `align` has it; needs the states only."""
+def zero_ns(log: RunLog, robots: Sequence[int], flight: int = 0) -> int:
+    """The stamp of time 0 of a flight, or of the one that `align` chooses where there is none of that number; needs no more
+    than states, trajectories and heartbeats."""
     flights = _flights(log, robots)
-    number = _chosen(flights, None)
+    number = _chosen(flights, flight if 1 <= flight <= len(flights) else None)
     if not number:
         return _first_stamp_ns(log)
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns)
