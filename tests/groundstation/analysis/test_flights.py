@@ -186,7 +186,7 @@ def test_a_line_just_before_the_flight_hides_none_of_the_flight(flown: tuple[Exp
     assert not result.passed
 
 
-def test_what_ended_a_flight_is_not_sought_in_the_next(flown: tuple[Experiment, RunLog, Path]) -> None:
+def test_a_flight_has_no_cause_in_the_next_one(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     both = with_aborted_flight(log, 4.0)
     unfaulted = {

@@ -349,8 +349,8 @@ def test_a_path_loaded_after_a_flight_and_not_flown_says_nothing_about_it(tmp_pa
     def mode(robot: int, time_s: float) -> tuple[Mode, str]:
         return (Mode.TRACKING if time_s <= 15.0 else Mode.DISARMED), ""
 
-    asked = ((15.0, "DISARM asked for"),)
-    script = Script(loaded_s=loaded_s, loaded_at_s=17.0, clock=lambda s: min(s, 15.0), mode=mode, lines=asked)
+    requests = ((15.0, "DISARM asked for"),)
+    script = Script(loaded_s=loaded_s, loaded_at_s=17.0, clock=lambda s: min(s, 15.0), mode=mode, lines=requests)
     result = result_of(tmp_path, script)
     assert result.planned_duration_s == result.asked_s == 40.0
     assert result.verdict == "not judged"
