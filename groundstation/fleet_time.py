@@ -14,6 +14,7 @@ from shoal.messages.messages import StationHeartbeat
 
 SIMULATED_BELOW_NS = 10**16  # smaller stamps are simulated time, which begins at 0, not in 1970
 STANDING_S = 30.0  # s of the wall clock without a heartbeat: simulated time stands; a step that plans takes some of them
+AHEAD_S = 1.0  # of the newest heartbeat that came: no message is further in a time that goes on
 WINDOW_S = 5.0  # s of the wall clock over which the pace is measured: a step that plans takes one of them
 SETTLED_S = 1.0  # s of the wall clock before a pace counts
 BUSY_BELOW = 0.95  # of the pace that is wanted; nearer, nobody would notice
@@ -40,7 +41,9 @@ class FleetTime:
         if received.header.stamp_ns >= SIMULATED_BELOW_NS:
             return received.age_ns(time.monotonic_ns()) * 1e-9
         since_s = _since_s(received)
-        return since_s if now_s is None else min(since_s, max(now_s - received.header.stamp_ns * 1e-9, 0.0))
+        if now_s is None or received.header.stamp_ns * 1e-9 > now_s + AHEAD_S:  # of a time that is over: it began anew
+            return since_s
+        return min(since_s, max(now_s - received.header.stamp_ns * 1e-9, 0.0))
 
     def limit(self, limit_s: float) -> Callable[[], bool]:
         """A function that is true once so many seconds have gone by, by the fleet's time and by the wall clock."""
@@ -49,7 +52,8 @@ class FleetTime:
         def over() -> bool:
             nonlocal simulated_began_s
             now_s = self.simulated_s()
-            simulated_began_s = now_s if simulated_began_s is None else simulated_began_s
+            if now_s is not None and (simulated_began_s is None or now_s < simulated_began_s):  # also when it began anew
+                simulated_began_s = now_s
             if time.monotonic() - began_s < limit_s:
                 return False
             return now_s is None or simulated_began_s is None or now_s - simulated_began_s >= limit_s

@@ -39,7 +39,7 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
     missing = float(result.log_dropped) if result.log_complete else None
     yield Check("messages missing from the log", result.log_trouble.partition(":")[0], missing, 0.0, not result.log_trouble)
     whole = went_all_the_way(series)
-    out = ", ".join(robot for robot, figures in result.robots.items() if figures.end.out_of_water)
+    out = ", ".join(map(str, sorted(series.out_of_water)))
     slowest = f"robot {out} out of the water" if out else "slowest robot"
     yield Check(WHOLE_RUN, slowest, series.flown_s, series.asked_s, whole, "s", at_least=True)
     yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)

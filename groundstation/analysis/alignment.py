@@ -105,7 +105,8 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
     recorded = {robot: _gather(log, robot, has_truth, window) for robot in experiment.robot_ids}
     with_flight = [r for r in recorded.values() if r.flew]
     start_ns = _began_ns([r.start_ns for r in with_flight]) if with_flight else _first_stamp_ns(log)
-    planned_s = _planned_s(experiment, log, window)
+    beats = _beats(log, flights[number - 1]) if number else []
+    planned_s = _planned_s(experiment, beats)
     whole_s = _end_s(recorded, with_flight, start_ns, planned_s)
     end_s = min(whole_s, 2.0 * planned_s + SPARE_S)
     rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if with_flight else 0
@@ -121,7 +122,8 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
         started=bool(with_flight),
         reached_s=reached_s,
         planned_s=planned_s,
-        other_path=any(beat.other_path for beat in _beats(log, window)),
+        other_path=any(beat.other_path for beat in beats),
+        out_of_water=frozenset(robot for beat in beats for robot in beat.out),
         asked_s=_asked_s(experiment, () if turned else with_flight, planned_s),
         ended_s=(window[1] - start_ns) * 1e-9,
         time_s=time_s,
@@ -136,10 +138,11 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
     )
 
 
-def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
-    """The stamp of time 0, as `align` has it; needs the states only."""
+def zero_ns(log: RunLog, robots: Sequence[int], flight: int = 0) -> int:
+    """The stamp of time 0 of a flight, or of the one that `align` chooses where there is none of that number; needs no more
+    than states, trajectories and heartbeats."""
     flights = _flights(log, robots)
-    number = _chosen(flights, None)
+    number = _chosen(flights, flight if 1 <= flight <= len(flights) else None)
     if not number:
         return _first_stamp_ns(log)
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns)
@@ -207,16 +210,17 @@ def _sent_home_ns(log: RunLog, flight: Flight) -> int | None:
     return None
 
 
-def _planned_s(experiment: Experiment, log: RunLog, window: tuple[int, int]) -> float:
+def _planned_s(experiment: Experiment, beats: Sequence[StationHeartbeat]) -> float:
     """Planned end of a flight along its trajectory in s: the station's last word before the way home, for a person may load
     another path; the experiment's where it says nothing."""
-    ends_s = [beat.flight_s for beat in _beats(log, window)]
+    ends_s = [beat.flight_s for beat in beats]
     return next((end_s for end_s in reversed(ends_s) if end_s > 0.0), experiment.duration_s)
 
 
-def _beats(log: RunLog, window: tuple[int, int]) -> list[StationHeartbeat]:
-    """The station's heartbeats of a flight."""
-    return [b.message for b in log.of(topics.HEARTBEAT, StationHeartbeat) if window[0] <= b.stamp_ns <= window[1]]
+def _beats(log: RunLog, flight: Flight) -> list[StationHeartbeat]:
+    """The station's heartbeats while a flight was under way: of a path that was loaded afterwards it says nothing."""
+    beats = log.of(topics.HEARTBEAT, StationHeartbeat)
+    return [beat.message for beat in beats if flight.begin_ns <= beat.stamp_ns <= flight.over_ns]
 
 
 def _asked_s(experiment: Experiment, flights: Sequence[_Recorded], planned_s: float) -> float:

@@ -175,7 +175,8 @@ def _injected_before(fault: TimelineEvent, series: Series) -> str:
 
 
 def _injected(series: Series, until_s: float = math.inf) -> list[str]:
-    """Injections of the simulator up to a time, each with its own time."""
+    """Injections of the simulator up to a time, or the flight's end, each with its own time."""
+    until_s = min(until_s, series.ended_s) if series.started else until_s
     injections = [e for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED) and e.time_s <= until_s]
     return [f"{e.text.removeprefix(INJECTED)} at {e.time_s:.1f} s" for e in injections]
 
@@ -194,7 +195,8 @@ def _ended_by(series: Series) -> TimelineEvent | None:
     if not series.started or went_all_the_way(series):
         return None
     reasons = (e for e in series.timeline_events if e.source == "groundstation" and e.text.startswith("mission: "))
-    return next((e for e in reasons if e.time_s > 0.0 and ": " in e.text.removeprefix("mission: ")), None)
+    of_flight = (e for e in reasons if 0.0 < e.time_s <= series.ended_s)
+    return next((e for e in of_flight if ": " in e.text.removeprefix("mission: ")), None)
 
 
 def _excess(check: Check) -> float:

@@ -163,6 +163,7 @@ class Series:
     timeline_events: tuple[TimelineEvent, ...] = ()
     sent_home_s: float | None = None  # along the trajectory, where the fleet turned home
     cut_short: bool = False  # the evaluation ends before the flight does: its clock leaps
+    out_of_water: frozenset[int] = frozenset()  # robots that were, at any time of the flight
     flights: tuple[Flight, ...] = ()  # all of the log
     flight: int = 0  # number of this one, from 1; 0 if there is none
 

@@ -24,10 +24,10 @@ def once(events: Iterable[TimelineEvent]) -> tuple[TimelineEvent, ...]:
     for event in ordered:
         key = (event.source, event.text)
         before = kept[latest[key]] if key in latest else None
+        before = before if before is not None and (before.time_s >= 0.0) is (event.time_s >= 0.0) else None
         if before is not None and event.source.startswith("robot ") and event.time_s - before.last_s <= SAME_S:
             continue
-        is_of_flight = event.time_s >= 0.0
-        if before is not None and event.time_s - before.last_s <= REPEATED_S and is_of_flight is (before.time_s >= 0.0):
+        if before is not None and event.time_s - before.last_s <= REPEATED_S:
             kept[latest[key]] = replace(before, until_s=event.time_s, times=before.times + 1)
             continue
         latest[key] = len(kept)

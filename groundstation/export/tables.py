@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from groundstation.analysis.alignment import zero_ns
 from groundstation.formation_clock import clock_reading
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
+from groundstation.logs.run_folders import MOST_JSON_BYTES
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import messages, topics
@@ -32,6 +33,7 @@ from shoal.messages.schema import nested_message, present_type
 from shoal.messages.session_clocks import SessionClocks
 from shoal.messages.topics import Topic
 from shoal.runtime.output_files import RUN, check_output, replacing_together
+from shoal.system.regular_files import read_regular
 
 NOTHING = np.zeros(0)
 AT_ONCE = 5_000  # rows that are kept until they are written: a few MB
@@ -139,8 +141,17 @@ def _zero(log: Path) -> tuple[_Zero, str]:
     if not states.messages:
         raise ConfigError(f"{log}: holds no messages")
     robots = load_experiment(str(file)).robot_ids if file.exists() else ()
-    at_ns = zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot}))
+    at_ns = zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot}), _reported(log.parent))
     return _Zero(at_ns, states.clocks), states.trouble
+
+
+def _reported(run: Path) -> int:
+    """Number of the flight that a run's report is about; 0 where there is none."""
+    try:
+        flight = json.loads(read_regular(run / "result.json", MOST_JSON_BYTES))["flight"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return 0
+    return flight if isinstance(flight, int) else 0
 
 
 def _clock_of(message: Any) -> Any:

@@ -17,7 +17,7 @@ class FlownLaps:
     lap_s: float | None  # None: the path has none
     path_s: float = 0.0  # beginning of the first
     end_s: float = math.inf  # of the path
-    flight: int = 0  # another path has another number
+    flight: int = 0  # another path, or another run, has another number
 
     def number(self, clock_s: float) -> int:
         """Number of the lap, from 1; robots on their way into place are before it. 0 on a path that has none."""
@@ -66,10 +66,11 @@ class LapStatistics:
 
     def update(self, flying: Mapping[int, RobotState], laps: FlownLaps) -> None:
         """Take in the newest states of the robots that fly with the formation. A trajectory that begins again starts another
-        table; so does another path."""
-        if laps.flight != self._flight:
+        table; so does another path or run, once it is flown."""
+        if flying and laps.flight != self._flight:
             self._flight = laps.flight
             self._rows.clear()
+            self._last_s.clear()
         for robot, state in flying.items():
             last_s = self._last_s.get(robot, state.trajectory_s)
             if state.trajectory_s < last_s - BACK_S:

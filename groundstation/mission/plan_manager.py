@@ -79,6 +79,7 @@ class PlanManager:
     def reset(self) -> None:
         """Start again at the beginning of the first segment, with all robots."""
         self.segment, self.progress_s = self._first, 0.0
+        self._flights += 1
         self._roster.reset(self._first)
 
     def adopt(self, segment: PlanSegment, flight: FlownPath | None = None) -> None:

@@ -13,7 +13,17 @@ from shoal.bus.bus import Bus, Inbox
 from shoal.config.loader import toml_value
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
-from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Event, Outcome, Pose, RobotState, StationHeartbeat
+from shoal.messages.messages import (
+    WHOLE_FLEET,
+    Command,
+    CommandKind,
+    Event,
+    Outcome,
+    Pose,
+    Progress,
+    RobotState,
+    StationHeartbeat,
+)
 from shoal.messages.topics import Topic
 from shoal.runtime.cli_options import DEFAULT_FLEET
 
@@ -57,6 +67,7 @@ class ConnectedFleet:
         self._time = FleetTime(self._heartbeat)
         self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
         self._mission_line = 0, ""  # the station's last, with its session
+        self._taken_with: Header | None = None  # of the newest heartbeat when a request was taken that then went on
         self.ended = False  # True once the run was ended from here
         bus.subscribe(topics.EVENT, None, self._event)
 
@@ -163,6 +174,8 @@ class ConnectedFleet:
     def _ask(self, name: str, command: Command, wait_s: float | None) -> Outcome:
         patience_s = client.patience_s(command) if wait_s is None else wait_s
         reply = client.follow(client.sender(self._bus), command, self._time.limit(patience_s), lambda outcome: None)
+        if reply.outcome is not None and reply.outcome.progress is Progress.UNDER_WAY:
+            self._taken_with = self._heartbeat.newest_header()
         done, text = client.verdict(reply, patience_s)
         if not done:
             missing = zip(reply.outcome.waiting, reply.outcome.why, strict=False) if reply.outcome is not None else ()
@@ -188,7 +201,7 @@ class ConnectedFleet:
 
     def mission(self, max_age_s: float = FRESH_S) -> str:
         """State of the mission, as `groundstation mission states` names them. Raises NotHeard without a fresh heartbeat."""
-        if not self._wait(lambda: self._fresh(self._heartbeat, max_age_s), max_age_s):
+        if not self._wait(lambda: self._tells_mission(max_age_s), max_age_s):
             raise NotHeard("the station is not heard")
         return self._last_mission()
 
@@ -206,10 +219,18 @@ class ConnectedFleet:
 
     def wait_mission(self, *states: str, timeout_s: float = 60.0) -> str:
         """Wait until the mission is in one of these states, for example "RUNNING" or "DONE". Returns it. Raises NotHeard."""
-        if not self._wait(lambda: self._fresh(self._heartbeat, FRESH_S) and self._last_mission() in states, timeout_s):
+        if not self._wait(lambda: self._tells_mission(FRESH_S) and self._last_mission() in states, timeout_s):
             is_now = self._last_mission() or "not heard"
             raise NotHeard(f"the mission was not {' or '.join(states)} within {timeout_s:g} s: it is {is_now}")
         return self._last_mission()
+
+    def _tells_mission(self, max_age_s: float) -> bool:
+        """True if the newest heartbeat is fresh, and tells of a mission that knew of all requests from here: the one that was
+        under way when a request was taken may still tell the state before."""
+        header, before = self._heartbeat.newest_header(), self._taken_with
+        if header is not None and before is not None and header.session == before.session:
+            return header.sequence > before.sequence + 1 and self._fresh(self._heartbeat, max_age_s)
+        return self._fresh(self._heartbeat, max_age_s)
 
     def _last_mission(self) -> str:
         """State of the mission as last told, however long ago; empty if it never was."""

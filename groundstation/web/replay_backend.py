@@ -353,9 +353,10 @@ class ReplayBackend:
             r: RobotSnapshot(*(self._aged(topic, topic.type, now, r) for topic in (topics.STATE, topics.POSE, topics.PLAN)))
             for r in self.experiment.robot_ids
         }
-        views = {r: self._view(r, messages, now) for r, messages in robots.items()}
-        localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
         beat = self._log.newest(topics.HEARTBEAT, StationHeartbeat, now)
+        out = beat[1].out if beat is not None else ()
+        views = {r: replace(self._view(r, messages, now), out=r in out) for r, messages in robots.items()}
+        localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
         mission = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
         news = FleetSnapshot(
             time_s=now * 1e-9,

@@ -58,6 +58,7 @@ class Script:
 
     duration_s: float = 40.0
     loaded_s: float = 0.0  # planned end of a path that was loaded instead of the experiment's; 0: none was
+    loaded_at_s: float = -1e9  # when it was loaded; before, the station tells the experiment's own
     settings: tuple[str, ...] = ()
     prefix: str = "shoal/"
     truth: bool = True
@@ -99,7 +100,8 @@ def write_run(folder: Path, script: Script | None = None) -> Experiment:
     (folder / "experiment.toml").write_text(text)
     recorder = Recorder(folder / "run.mcap", text, script.metadata)
     log = _Log(recorder, script.prefix)
-    trajectories = plan(experiment.model_copy(update={"duration_s": script.loaded_s or script.duration_s}))
+    own_s = script.duration_s if script.loaded_at_s >= 0.0 or not script.loaded_s else script.loaded_s
+    trajectories = plan(experiment.model_copy(update={"duration_s": own_s}))
     if script.trajectories:
         for robot, trajectory in trajectories.items():
             log.put(topics.TRAJECTORY, trajectory, 0.0, robot)
@@ -147,7 +149,9 @@ def _step(script: Script, log: _Log, trajectories: dict[int, Any], k: int, since
             state = _state(script, robot, k, since_s, true, trajectories[robot])
             log.put(topics.STATE, state, at_s, robot, lost=_within(script.lost, robot, since_s))
     if (script.still or script.lost or script.loaded_s) and not _within(script.still, 0, since_s):
-        beat = StationHeartbeat(mission="RUNNING", flight_s=script.loaded_s, other_path=script.loaded_s > 0.0)
+        loaded = script.loaded_s > 0.0 and since_s >= script.loaded_at_s
+        planned_s = script.loaded_s if loaded else 0.0 if script.loaded_at_s < 0.0 else script.duration_s
+        beat = StationHeartbeat(mission="RUNNING", flight_s=planned_s, other_path=loaded)
         log.put(topics.HEARTBEAT, beat, at_s, lost=_within(script.lost, 0, since_s))
 
 

@@ -97,3 +97,16 @@ def test_only_a_pace_below_the_wanted_one_is_the_machines_fault() -> None:
     assert pace_in_words(0.6, 1.0) == "0.6 x real time, the machine is busy"
     assert pace_in_words(0.99, 1.0) == "1.0 x real time"
     assert pace_in_words(0.5, 0.5) == pace_in_words(0.5, None) == "0.5 x real time"
+
+
+def test_simulated_time_that_begins_anew_keeps_nobody_waiting_and_nothing_young(fleet: Fleet) -> None:
+    """A simulation is started again beside a script; one of its robots is not."""
+    fleet.station.publish(topics.STATE, RobotState(), 1000 * S, 1)
+    fleet.beat(1000 * S)
+    over = fleet.time.limit(SHORT_S)
+    fleet.beat(1 * S)
+    time.sleep(2 * SHORT_S)
+    assert not over()
+    fleet.beat(2 * S)
+    assert over()
+    assert fleet.age_s() >= 2 * SHORT_S

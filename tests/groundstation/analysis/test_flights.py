@@ -17,6 +17,7 @@ from groundstation.logs.reader import DecodedMessage, RunLog, read_log
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.state_machine import MissionState
 from groundstation.report.report import write_report
+from groundstation.scripting.runs import open_run
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
@@ -175,6 +176,31 @@ def test_a_warning_that_goes_on_from_before_the_flight_is_a_fault_of_the_flight(
     assert not result.passed
 
 
+@pytest.mark.parametrize("source", ["agent-1", "localizer"])
+def test_a_line_just_before_the_flight_hides_none_of_the_flight(flown: tuple[Experiment, RunLog, Path], source: str) -> None:
+    experiment, log, _ = flown
+    stamps = [round((START_S + at_s) * SECOND) for at_s in (-0.4, 0.3)]
+    events = [DecodedMessage(ns, ns, k, Event(4, source, "the board is silent")) for k, ns in enumerate(stamps)]
+    result = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.EVENT.name, 0): events}))
+    assert [fault.time_s for fault in result.faults] == pytest.approx([0.3])
+    assert not result.passed
+
+
+def test_a_flight_has_no_cause_in_the_next_one(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    both = with_aborted_flight(log, 4.0)
+    unfaulted = {
+        key: [e for e in messages if key[0] != topics.STATE.name or not e.message.fault]
+        for key, messages in both.entries.items()
+    }
+    ns = round((START_S + 3.0) * SECOND)
+    lines = ["mission: holding: robot 2 is 1.4 s behind the others", "fault: camera frozen"]
+    unfaulted[topics.EVENT.name, 0] = [DecodedMessage(ns, ns, k, Event(2, "groundstation", t)) for k, t in enumerate(lines)]
+    result = result_of(experiment, dataclasses.replace(both, entries=unfaulted), flight=1)
+    assert result.cause is not None and result.cause.noticed_by == "the report"
+    assert result.cause.injected == ""
+
+
 def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
     stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
     heartbeats = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
@@ -190,6 +216,40 @@ def test_a_robot_that_was_out_of_the_water_is_not_reported_as_flown(flown: tuple
     whole = next(check for check in result.checks if check.name == WHOLE_RUN)
     assert result.robots["2"].end.out_of_water and not result.robots["1"].end.out_of_water
     assert whole.failed and whole.where == "robot 2 out of the water" and not result.passed
+
+
+def test_a_robot_taken_out_after_a_flight_is_not_why_it_was_cut_short(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    over_ns, states = (START_S + 3.0) * SECOND, {}
+    for robot in (1, 2):
+        states[topics.STATE.name, robot] = [e for e in log.of(topics.STATE, RobotState, robot) if e.stamp_ns < over_ns]
+    heartbeats = []
+    for k in range(120):
+        beat = StationHeartbeat(mission="RUNNING", out=(2,) if k > 80 else ())
+        ns = round((START_S + k * PERIOD_S) * SECOND)
+        heartbeats.append(DecodedMessage(ns, ns, k, beat))
+    entries = {**log.entries, **states, (topics.HEARTBEAT.name, 0): heartbeats}
+    result = result_of(experiment, dataclasses.replace(log, entries=entries))
+    whole = next(check for check in result.checks if check.name == WHOLE_RUN)
+    assert result.robots["2"].end.out_of_water
+    assert whole.failed and whole.where == "slowest robot"
+
+
+@pytest.mark.parametrize("flight", [1, 2, None])
+def test_tables_count_their_time_as_the_report_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flight: int | None
+) -> None:
+    def mode(robot: int, time_s: float) -> tuple[Mode, str]:
+        return (Mode.DISARMED if 6.0 <= time_s < 12.0 else Mode.TRACKING), ""
+
+    write_run(tmp_path, Script(duration_s=18.0, clock=lambda s: s if s < 6.0 else max(s - 12.0, 0.0), mode=mode))
+    monkeypatch.setattr("groundstation.report.report.FIGURES", ())  # they take seconds
+    part = write_report(tmp_path, flight).flights[(flight or 2) - 1]
+    state = open_run(tmp_path).table("state", robot=1)
+    flies = state["trajectory_s"] > 0.0
+    begins_s = state["time_s"][1:][flies[1:] & ~flies[:-1]]
+    assert begins_s[(flight or 2) - 1] == pytest.approx(part.begin_s, abs=1e-6)
+    assert part.begin_s == pytest.approx(PERIOD_S, abs=0.01)
 
 
 def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment, RunLog, Path]) -> None:

@@ -342,6 +342,22 @@ def test_a_loaded_path_is_judged_by_its_own_length(tmp_path: Path, loaded_s: flo
     assert result.passed is whole
 
 
+@pytest.mark.parametrize("loaded_s", [10.0, 90.0])
+def test_a_path_loaded_after_a_flight_and_not_flown_says_nothing_about_it(tmp_path: Path, loaded_s: float) -> None:
+    """A person disarms at 15 of 40 s and has a shorter or longer path planned, which nobody flies."""
+
+    def mode(robot: int, time_s: float) -> tuple[Mode, str]:
+        return (Mode.TRACKING if time_s <= 15.0 else Mode.DISARMED), ""
+
+    requests = ((15.0, "DISARM asked for"),)
+    script = Script(loaded_s=loaded_s, loaded_at_s=17.0, clock=lambda s: min(s, 15.0), mode=mode, lines=requests)
+    result = result_of(tmp_path, script)
+    assert result.planned_duration_s == result.asked_s == 40.0
+    assert result.verdict == "not judged"
+    assert not result.passed
+    assert any("15.0 s of 40 s" in note for note in result.notes)
+
+
 @pytest.mark.parametrize("samples", [2, 3, 40])
 def test_a_reference_is_the_cubic_through_samples_and_their_velocities(samples: int) -> None:
     random = np.random.default_rng(samples)

@@ -49,6 +49,21 @@ def test_another_run_begins_another_table() -> None:
     assert only.number == 1 and only.time_s < 0.1
 
 
+def test_another_run_soon_after_begins_another_table() -> None:
+    """The run before was over after 4 s: less than a robot goes back at a hold."""
+    laps = LapStatistics()
+    for k in range(1, 81):
+        note(laps, {1: 0.05 * k}, 0.5)
+    again = FlownLaps(LAP_S, flight=1)
+    laps.update({}, again)
+    assert laps.laps(), "until the next one is flown, its table stays"
+    for k in range(1, 41):
+        note(laps, {1: 0.05 * k}, 0.01, again)
+    (only,) = laps.laps()
+    assert only.time_s == pytest.approx(2.0, abs=0.11)
+    assert only.rms_m == pytest.approx(0.01)
+
+
 def test_a_robot_that_joins_late_makes_no_lap_shorter() -> None:
     """Robot 2 is away from 5 s to 15 s, over the end of the first lap; robot 3 joins at 18 s."""
     laps = LapStatistics()

@@ -237,3 +237,22 @@ def test_a_draft_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
             begins = {tuple(np.round(t.eta[0, :2], 2)) for t in segment.trajectories.values()}
             assert begins == {tuple(np.round(view.rest[:2], 2)) for view in fleet.fleet.values()}
     assert fleet.mission.state is MissionState.PAUSED and newest(fleet)[0] is Progress.DONE  # nobody was asked to fly it
+
+
+def test_each_run_has_laps_of_its_own() -> None:
+    """A person disarms after a few seconds, loads another path, and starts again."""
+    fleet = SimulatedFleet(load_experiment("pool"))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    fleet.run(5.5)
+    first = fleet.core.laps.laps()
+    assert ask(fleet, CommandKind.DISARM) == ""
+    until(fleet, MissionState.CANCELLED, 5.0)
+    assert first and fleet.core.laps.laps()[0].time_s >= first[0].time_s
+    assert ask(fleet, CommandKind.PATH, other()) == ""
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    fleet.run(3.0)
+    (again,) = fleet.core.laps.laps()
+    flown_s = min(robot.clock.reached_s for robot in fleet.robots.values())
+    assert again.time_s == pytest.approx(flown_s, abs=0.15)

@@ -112,6 +112,28 @@ def test_a_request_for_one_robot_goes_to_the_station_and_names_it(
     assert [(c.order, c.robot) for c in station.commands] == [(CommandKind[name.upper()], 2)]
 
 
+def test_a_mission_is_not_done_by_what_was_told_before_it_was_asked_for(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    """A script starts a second flight without a wait: the station still tells, and once more, that the first one is done."""
+
+    def tell(*missions: str) -> None:
+        for mission in missions:
+            station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission=mission), time.time_ns())
+
+    tell("LOADING", "RUNNING", "DONE")
+    assert fleet.wait_mission("DONE", timeout_s=2.0) == "DONE"
+    station.reply = Reply(0, True, outcome=Outcome(2, progress=Progress.UNDER_WAY))
+    fleet.start(wait_s=0.0)
+    tell("DONE")  # it was under way
+    with pytest.raises(NotHeard):
+        fleet.wait_mission("DONE", timeout_s=0.3)
+    with pytest.raises(NotHeard):
+        fleet.mission(max_age_s=0.3)
+    tell("LOADING")
+    assert fleet.mission() == "LOADING"
+    tell("RUNNING", "DONE")
+    assert fleet.wait_mission("DONE", timeout_s=2.0) == "DONE"
+
+
 def test_one_robot_is_sent_to_a_place(fleet: ConnectedFleet, station: PlayedStation) -> None:
     fleet.go((1.0, -0.5), robot=2)
     assert [(c.robot, c.via.tolist()) for c in station.commands] == [(2, [[1.0, -0.5]])]

@@ -19,7 +19,18 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import BoardReading, CommandKind, Event, Mode, Plan, Preview, RobotState, StepTiming, Trajectory
+from shoal.messages.messages import (
+    BoardReading,
+    CommandKind,
+    Event,
+    Mode,
+    Plan,
+    Preview,
+    RobotState,
+    StationHeartbeat,
+    StepTiming,
+    Trajectory,
+)
 from shoal.messages.topics import Topic
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
 
@@ -255,6 +266,19 @@ def test_alarms_are_those_that_were(tmp_path: Path) -> None:
 
 
 KINDS = {"link", "clock", "plan"}
+
+
+def test_a_robot_that_was_out_of_the_water_is_no_silent_one(tmp_path: Path) -> None:
+    experiment = load_experiment("pool")
+    (tmp_path / "experiment.toml").write_text(dump_experiment(experiment))
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    for k in range(40):
+        stamp_ns = k * 50_000_000 + 10**18
+        beat = encode(StationHeartbeat(mission="DEGRADED", out=(2,)))
+        recorder.put(topics.HEARTBEAT, f"shoal/{topics.HEARTBEAT.key()}", Header(9, k + 1, stamp_ns), beat, stamp_ns)
+    recorder.close()
+    with ReplayBackend(tmp_path) as backend:
+        assert [alarm["key"] for alarm in at(backend, 1.0)["alarms"] if alarm["robot"] == 2] == ["2:out"]
 
 
 @pytest.mark.parametrize("behind_s", [0.0, 20.0, -20.0])
