@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from tests.source_tree import nodes, sources, tree_of
 
-NOTHING = {"0", "0.0", "''", "()", "None", "False"}
+NOTHING = {"0", "0.0", "''", "()", "frozenset()", "None", "False"}
 FACTORIES = ("field(", "array(", "wrench_array(", "row_numbers(")  # of empty things, each time new
 
 # class, field -> its default where that is something: nothing known yet, the usual kind, or what a person would take
