@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.analysis.series import HOPS, Flight, Mask, RobotSeries, Series, States, TimelineEvent
 from groundstation.analysis.timeline import STOOD_STILL, once
@@ -77,7 +78,8 @@ class _Recorded:
 
     states: list[DecodedMessage[RobotState]]
     with_formation: Mask  # (states,) False while a person leads the robot elsewhere
-    trajectory: Trajectory | None
+    trajectory: Trajectory | None  # the last that was flown holds what was planned before it as well,
+    others: dict[str, Trajectory]  # but a robot may have flown on beyond where it begins: all, by their ids
     truth: _Samples
     disturbance: _Samples
     poses: list[DecodedMessage[Pose]]
@@ -295,7 +297,6 @@ def _gather(log: RunLog, robot: int, has_truth: bool, window: tuple[int, int]) -
     named = [m.trajectory_id for m in messages if m.mode is Mode.TRACKING]
     recorded = [e.message for e in log.of(topics.TRAJECTORY, Trajectory, robot)]
     trajectories = [t for t in recorded if _is_path(t) and plans.include(t.id)]
-    # the last that was flown holds what was flown before it as well
     chosen = [t for t in trajectories if named and t.id == named[-1]] or trajectories
     truth, disturbance = _truth(log, robot) if has_truth else (_located(states, poses), _samples([], []))
     clock_ns, clock_s = _clock(counted, window)
@@ -303,6 +304,7 @@ def _gather(log: RunLog, robot: int, has_truth: bool, window: tuple[int, int]) -
         states=states,
         with_formation=np.array(list(plans.with_formation(e.message for e in states)), dtype=bool),
         trajectory=chosen[-1] if chosen else None,
+        others={t.id: t for t in trajectories},
         truth=truth,
         disturbance=disturbance,
         poses=poses,
@@ -417,9 +419,13 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     """Reference pose of the robot at each stamp, (n, 4); NaN for a robot that had no part in the flight."""
     if r.trajectory is None or not r.flew:
         return np.full((len(stamps), 4), np.nan)
-    along_s = np.interp(stamps, r.clock_ns, r.clock_s) - r.trajectory.begin_s
-    reference = poses_along(r.trajectory, along_s)
-    reference[along_s < -r.trajectory.period_s] = np.nan  # left out: the whole was longer than a message may be
+    clock_s = np.interp(stamps, r.clock_ns, r.clock_s)
+    reference, ids = np.full((len(stamps), 4), np.nan), _trajectory_ids(r, stamps)
+    for trajectory_id in set(ids):
+        trajectory, rows = r.others.get(trajectory_id, r.trajectory), ids == trajectory_id
+        along_s = clock_s[rows] - trajectory.begin_s
+        known = along_s >= -trajectory.period_s  # what is left out: the whole was longer than a message may be
+        reference[np.flatnonzero(rows)[known]] = poses_along(trajectory, along_s[known])
     if len(r.clock_ns) > 1:  # a clock is no more invented across a gap of the log than the truth is
         after = np.clip(np.searchsorted(r.clock_ns, stamps), 1, len(r.clock_ns) - 1)
         gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
@@ -429,6 +435,12 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     reference[stamps > r.clock_ns[-1] + LONGEST_GAP_S * 1e9] = np.nan  # it was not heard again while it flew
     reference[_led_away(r, stamps)] = np.nan
     return reference
+
+
+def _trajectory_ids(r: _Recorded, stamps: Array) -> NDArray[np.str_]:
+    """Id of the trajectory that the robot was on at each stamp, (n,); empty before it said one."""
+    ids = np.array(["", *(e.message.trajectory_id for e in r.states)])
+    return np.asarray(ids[np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right")])
 
 
 def _led_away(r: _Recorded, stamps: Array) -> Mask:

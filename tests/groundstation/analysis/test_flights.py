@@ -330,6 +330,28 @@ def test_a_reference_whose_beginning_is_left_out_is_unknown_there_and_right_afte
         assert np.isnan(short.robots[robot].reference[whole.time_s < 2.0 - 2.0 * PERIOD_S]).all()
 
 
+def test_a_robot_that_flew_on_beyond_the_beginning_of_the_next_plan_is_judged_by_the_plan_that_it_flew(
+    flown: tuple[Experiment, RunLog, Path],
+) -> None:
+    """The next plan begins where the slowest robot was."""
+    experiment, log, _ = flown
+    plan, entries = log.of(topics.TRAJECTORY, Trajectory, 1)[-1], dict(log.entries)
+    planned = plan.message
+    eta = planned.eta.copy()
+    eta[round((2.5 - planned.begin_s) / planned.period_s) :, 0] += 0.5
+    after = dataclasses.replace(planned, id="after", eta=eta)
+    entries[topics.TRAJECTORY.name, 1] = [plan, dataclasses.replace(plan, message=after)]
+    states = log.of(topics.STATE, RobotState, 1)
+    entries[topics.STATE.name, 1] = [
+        later(e, 0.0, trajectory_id="after") if e.message.trajectory_s >= 3.0 else e for e in states
+    ]
+    error = align(experiment, dataclasses.replace(log, entries=entries)).robots[1].error[:, 0]
+    before = align(experiment, log).robots[1].error[:, 0]
+    moved = np.abs(error - before) > 0.4
+    first_s = align(experiment, log).time_s[np.flatnonzero(moved)[0]]
+    assert first_s == pytest.approx(3.0, abs=2.0 * PERIOD_S) and moved.sum() > 10
+
+
 def test_a_path_that_is_over_is_no_failure(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     result = result_of(experiment, with_path_until(log, experiment, 4.0))
