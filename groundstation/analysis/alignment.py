@@ -424,8 +424,8 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     for trajectory_id in set(ids):
         trajectory, rows = r.others.get(trajectory_id, r.trajectory), ids == trajectory_id
         along_s = clock_s[rows] - trajectory.begin_s
-        known = along_s >= -trajectory.period_s  # what is left out: the whole was longer than a message may be
-        reference[np.flatnonzero(rows)[known]] = poses_along(trajectory, along_s[known])
+        covered = along_s >= -trajectory.period_s  # its beginning is left out where the whole is too long for a message
+        reference[np.flatnonzero(rows)[covered]] = poses_along(trajectory, along_s[covered])
     if len(r.clock_ns) > 1:  # a clock is no more invented across a gap of the log than the truth is
         after = np.clip(np.searchsorted(r.clock_ns, stamps), 1, len(r.clock_ns) - 1)
         gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
