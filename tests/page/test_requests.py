@@ -131,13 +131,18 @@ def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser
         assert desk.orders == [CommandKind.TEST]
 
 
+def choose_robot(desk: FakeStation, mode: Mode) -> None:
+    """Open the page, and choose robot 2, which is in a mode."""
+    desk.page.goto(desk.url)
+    expect(button(desk.page, "You have control")).to_be_visible()
+    desk.robots.publish(topics.STATE, RobotState(mode=mode), time.time_ns(), 2)
+    tile(desk.page, 2).get_by_role("button").click()
+
+
 def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as desk:
         page = desk.page
-        page.goto(desk.url)
-        expect(button(page, "You have control")).to_be_visible()
-        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 2)
-        tile(page, 2).get_by_role("button").click()
+        choose_robot(desk, Mode.HOLDING)
         panel = page.get_by_label("Robot 2 alone")
         expect(button(page, "Arm 2")).to_be_disabled()  # it is
         button(page, "Hold 2").click()
@@ -175,10 +180,7 @@ def test_a_second_click_does_not_put_a_robot_back_into_the_water(browser: Browse
     """Somebody holds the robot in his hands: a press that comes twice must not let the next start arm it."""
     with lone_station(browser, load_experiment("pool")) as desk:
         page = desk.page
-        page.goto(desk.url)
-        expect(button(page, "You have control")).to_be_visible()
-        desk.robots.publish(topics.STATE, RobotState(mode=Mode.DISARMED), time.time_ns(), 2)
-        tile(page, 2).get_by_role("button").click()
+        choose_robot(desk, Mode.DISARMED)
         expect(button(page, "2 is back in")).to_be_disabled()
         button(page, "2 is out of the water").click()  # at its place once that is steady
         expect(page.locator(".given")).to_contain_text("out 2 sent")
@@ -223,10 +225,7 @@ def test_a_gamepad_drives_in_any_layout_and_the_robot_holds_without_it(browser: 
     with lone_station(browser, load_experiment("pool")) as desk:
         page = desk.page
         page.add_init_script(PADS)
-        page.goto(desk.url)
-        expect(button(page, "You have control")).to_be_visible()
-        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 2)
-        tile(page, 2).get_by_role("button").click()
+        choose_robot(desk, Mode.HOLDING)
         page.evaluate("pad('standard', [0, -1, 0, 0])")  # held ahead before driving begins
         button(page, "Drive 2").click()
         page.wait_for_timeout(500)

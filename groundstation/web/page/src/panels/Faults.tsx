@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 import { order } from "../link";
 import { connected, ended, inControl, lines, scene, selected, shown } from "../store";
-import { placeOf } from "./TypedPlace";
+import { placeOf } from "./ChosenPlaces";
 
 const thruster = signal(1);
 const during = signal(""); // seconds; empty: for ever

@@ -2,8 +2,8 @@
 
 import { order, say } from "../link";
 import { OtherFlight, OtherFlightButton } from "./OtherFlight";
-import { TypedPlace } from "./TypedPlace";
-import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
+import { ChosenPlaces } from "./ChosenPlaces";
+import { choosePlaces, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
 import { numbers, robotNames, together } from "../robot/names";
 import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
@@ -253,20 +253,8 @@ function Go({ state }: { state: Snapshot }) {
   const chosen = placesFor.value === 0 ? places.value : null;
   const possible = connected.value && inControl.value && state.allowed.includes("go");
   if (chosen === null) return null;
-  return (
-    <div class="go-places">
-      <p class="hint">{chosen.length === 0 ? "Click on the map, or type: one place or more." : chosen.map(([x, y]) => `${x}, ${y} m`).join(" → ")}</p>
-      <TypedPlace />
-      <div class="orders">
-        <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
-          Fly there
-        </button>
-        <button type="button" class="order" onClick={() => choosePlaces(false)}>
-          Cancel
-        </button>
-      </div>
-    </div>
-  );
+  const hint = chosen.length === 0 ? "Click on the map, or type: one place or more." : chosen.map(([x, y]) => `${x}, ${y} m`).join(" → ");
+  return <ChosenPlaces hint={hint} text="Fly there" possible={possible} />;
 }
 
 /** A line for the run's log, with the time at which it was written. */

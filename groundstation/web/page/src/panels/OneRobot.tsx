@@ -4,8 +4,8 @@
 import { useEffect } from "preact/hooks";
 import { order } from "../link";
 import { Motion } from "./Tiles";
-import { TypedPlace } from "./TypedPlace";
-import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
+import { ChosenPlaces } from "./ChosenPlaces";
+import { choosePlaces, places, placesFor } from "../pool/places";
 import { driven, hold, letGo, pace, startDriving, stopDriving } from "../robot/drive";
 import { also, connected, inControl, scene, selected, shown, undriven } from "../store";
 import type { OrderName, Snapshot } from "../wire";
@@ -76,20 +76,8 @@ function SendButton({ robot, possible }: { robot: number; possible: boolean }) {
 function Send({ robot, possible }: { robot: number; possible: boolean }) {
   const chosen = placesFor.value === robot ? places.value : null;
   if (chosen === null) return null;
-  return (
-    <div class="go-places">
-      <p class="hint">Click on the map, or type.</p>
-      <TypedPlace />
-      <div class="orders">
-        <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
-          {chosen.length === 0 ? `Send robot ${robot}` : `Send robot ${robot} to (${chosen[0]!.join(", ")}) m`}
-        </button>
-        <button type="button" class="order" onClick={() => choosePlaces(false)}>
-          Cancel
-        </button>
-      </div>
-    </div>
-  );
+  const text = chosen.length === 0 ? `Send robot ${robot}` : `Send robot ${robot} to (${chosen[0]!.join(", ")}) m`;
+  return <ChosenPlaces hint="Click on the map, or type." text={text} possible={possible} />;
 }
 
 /** Several robots that are chosen: each does it, on its own. */

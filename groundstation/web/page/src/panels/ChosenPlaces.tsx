@@ -1,7 +1,7 @@
-/** A place that is typed instead of clicked: x and y in m, by keyboard. */
+/** Places to fly to: clicked on the map, or typed by keyboard, x and y in m. */
 
 import { signal } from "@preact/signals";
-import { addPlace } from "../pool/places";
+import { addPlace, choosePlaces, flyThere, places } from "../pool/places";
 
 const typed = signal("");
 
@@ -12,7 +12,7 @@ export function placeOf(text: string): [number, number] | null {
   return parts.length === 2 && parts.every((part) => part !== "") && Number.isFinite(x) && Number.isFinite(y) ? [x!, y!] : null;
 }
 
-export function TypedPlace() {
+function TypedPlace() {
   const place = placeOf(typed.value);
   return (
     <form
@@ -29,5 +29,23 @@ export function TypedPlace() {
         Add place
       </button>
     </form>
+  );
+}
+
+/** The places chosen so far, with a way to add one, to fly there, and to leave it. */
+export function ChosenPlaces({ hint, text, possible }: { hint: string; text: string; possible: boolean }) {
+  return (
+    <div class="go-places">
+      <p class="hint">{hint}</p>
+      <TypedPlace />
+      <div class="orders">
+        <button type="button" class="order" disabled={!possible || !places.value?.length} onClick={flyThere}>
+          {text}
+        </button>
+        <button type="button" class="order" onClick={() => choosePlaces(false)}>
+          Cancel
+        </button>
+      </div>
+    </div>
   );
 }
