@@ -107,7 +107,7 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
     recorded = {robot: _gather(log, robot, has_truth, window) for robot in experiment.robot_ids}
     with_flight = [r for r in recorded.values() if r.flew]
     start_ns = _began_ns([r.start_ns for r in with_flight]) if with_flight else _first_stamp_ns(log)
-    beats = _beats(log, flights[number - 1]) if number else []
+    beats = [beat.message for beat in _beats(log, flights[number - 1])] if number else []
     planned_s = _planned_s(experiment, beats)
     whole_s = _end_s(recorded, with_flight, start_ns, planned_s)
     end_s = min(whole_s, 2.0 * planned_s + SPARE_S)
@@ -206,10 +206,7 @@ def _chosen(flights: Sequence[Flight], choice: int | None) -> int:
 
 def _sent_home_ns(log: RunLog, flight: Flight) -> int | None:
     """Instant in a flight at which the station first reported the return of the fleet."""
-    for beat in log.of(topics.HEARTBEAT, StationHeartbeat):
-        if flight.begin_ns <= beat.stamp_ns <= flight.over_ns and beat.message.mission == HOMEWARD:
-            return beat.stamp_ns
-    return None
+    return next((beat.stamp_ns for beat in _beats(log, flight) if beat.message.mission == HOMEWARD), None)
 
 
 def _planned_s(experiment: Experiment, beats: Sequence[StationHeartbeat]) -> float:
@@ -219,10 +216,10 @@ def _planned_s(experiment: Experiment, beats: Sequence[StationHeartbeat]) -> flo
     return next((end_s for end_s in reversed(ends_s) if end_s > 0.0), experiment.duration_s)
 
 
-def _beats(log: RunLog, flight: Flight) -> list[StationHeartbeat]:
+def _beats(log: RunLog, flight: Flight) -> list[DecodedMessage[StationHeartbeat]]:
     """The station's heartbeats while a flight was under way: of a path that was loaded afterwards it says nothing."""
     beats = log.of(topics.HEARTBEAT, StationHeartbeat)
-    return [beat.message for beat in beats if flight.begin_ns <= beat.stamp_ns <= flight.over_ns]
+    return [beat for beat in beats if flight.begin_ns <= beat.stamp_ns <= flight.over_ns]
 
 
 def _asked_s(experiment: Experiment, flights: Sequence[_Recorded], planned_s: float) -> float:
@@ -437,10 +434,15 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     return reference
 
 
+def _last_state(r: _Recorded, stamps: Array) -> NDArray[np.intp]:
+    """Index of the robot's newest state at each stamp, (n,); -1 before the first."""
+    return np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right") - 1
+
+
 def _trajectory_ids(r: _Recorded, stamps: Array) -> NDArray[np.str_]:
     """Id of the trajectory that the robot was on at each stamp, (n,); empty before it said one."""
     ids = np.array(["", *(e.message.trajectory_id for e in r.states)])
-    return np.asarray(ids[np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right")])
+    return np.asarray(ids[_last_state(r, stamps) + 1])
 
 
 def _led_away(r: _Recorded, stamps: Array) -> Mask:
@@ -449,7 +451,7 @@ def _led_away(r: _Recorded, stamps: Array) -> Mask:
     away = held | ~r.with_formation
     if not away.any():
         return np.zeros(len(stamps), dtype=bool)
-    last = np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right") - 1
+    last = _last_state(r, stamps)
     return np.asarray((last >= 0) & away[np.maximum(last, 0)])
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from groundstation.analysis.alignment import zero_ns
 from groundstation.formation_clock import clock_reading
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
-from groundstation.logs.run_folders import MOST_JSON_BYTES
+from groundstation.logs.run_folders import read_json
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import messages, topics
@@ -33,7 +33,6 @@ from shoal.messages.schema import nested_message, present_type
 from shoal.messages.session_clocks import SessionClocks
 from shoal.messages.topics import Topic
 from shoal.runtime.output_files import RUN, check_output, replacing_together
-from shoal.system.regular_files import read_regular
 
 NOTHING = np.zeros(0)
 AT_ONCE = 5_000  # rows that are kept until they are written: a few MB
@@ -147,10 +146,7 @@ def _zero(log: Path) -> tuple[_Zero, str]:
 
 def _reported(run: Path) -> int:
     """Number of the flight that a run's report is about; 0 where there is none."""
-    try:
-        flight = json.loads(read_regular(run / "result.json", MOST_JSON_BYTES))["flight"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return 0
+    flight = read_json(run / "result.json").get("flight")
     return flight if isinstance(flight, int) else 0
 
 

@@ -154,9 +154,9 @@ class Channels(dict[int, tuple[Topic, int, int]]):
     def take(self, record: McapRecord) -> LogMessage | None:
         """Take in a record. Returns the message that it is, if it is one of ours."""
         if isinstance(record, Channel):
-            topic_and_robot, word = key_topic(record.topic), record.metadata.get(log_records.SESSION, "0")
-            if topic_and_robot is not None and re.fullmatch("[0-9a-fA-F]{1,16}", word):
-                self[record.id] = (*topic_and_robot, int(word, 16))
+            topic_and_robot, session = key_topic(record.topic), log_records.session_of(record.metadata)
+            if topic_and_robot is not None and session is not None:
+                self[record.id] = (*topic_and_robot, session)
         elif isinstance(record, Message) and record.channel_id in self:
             topic, robot, session = self[record.channel_id]
             header = Header(session, record.sequence, record.publish_time)

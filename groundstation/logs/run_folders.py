@@ -84,7 +84,7 @@ def check_run(folder: Path) -> None:
 
 def label_of(folder: Path) -> tuple[str, tuple[str, ...]]:
     """Name and tags that a run was given; none where the file is missing or is something else."""
-    label = _json(folder / LABEL)
+    label = read_json(folder / LABEL)
     return _text(label.get("name")), _texts(label.get("tags"))
 
 
@@ -132,7 +132,7 @@ def size_mb(folder: Path) -> float:
 
 def _listed(log: Path) -> ListedRun:
     """The row of one run in the list, from its log, its result and its label."""
-    result, (name, tags) = _json(log.parent / "result.json"), label_of(log.parent)
+    result, (name, tags) = read_json(log.parent / "result.json"), label_of(log.parent)
     passed = result.get("passed")
     return ListedRun(
         run=str(log.parent),
@@ -165,7 +165,7 @@ def _begun_s(log: Path) -> float:
     return min(max((first if first.exists() else log).stat().st_mtime, 0.0), _LATEST_S)
 
 
-def _json(file: Path) -> dict[str, Any]:
+def read_json(file: Path) -> dict[str, Any]:
     """The object that a file holds; none where it is missing or holds something else."""
     try:
         content = json.loads(read_regular(file, MOST_JSON_BYTES))

@@ -279,9 +279,7 @@ class AgentLink:
         kind = message.get_type()
         if kind == "ATTITUDE":  # the last of a burst: its time is the burst's
             complete, self._has_depth = self._has_depth, False
-            is_repeated = (
-                message.time_boot_ms == self._burst_ms
-            )  # of a board whose measuring has stopped: it is as old as it was
+            is_repeated = message.time_boot_ms == self._burst_ms  # of a board whose measuring has stopped: as old as it was
             if not complete or is_repeated or math.isnan(message.yaw) or math.isnan(message.yawspeed):
                 return {}  # a sensor does not measure, or a frame is lost: the last burst must not look live
             tilt = _tilt_of(message)

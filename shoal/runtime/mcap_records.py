@@ -15,7 +15,7 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO, NamedTuple
@@ -222,7 +222,7 @@ def recorded_messages(file: IO[bytes]) -> Iterator[RecordedMessage]:
     for opcode, body in records(file):
         if opcode == CHANNEL:
             number, topic = channel_topic(body)
-            channels[number] = topic, session_of(channel_metadata(body).get(SESSION, ""))
+            channels[number] = topic, session_of(channel_metadata(body)) or 0
         elif opcode == MESSAGE:
             number, _, arrived_ns, stamp_ns, data = message(body)
             yield RecordedMessage(*channels.get(number, ("", 0)), stamp_ns, arrived_ns, data)
@@ -267,9 +267,10 @@ def channel_metadata(body: bytes) -> dict[str, str]:
         raise Damaged(f"a channel of {len(body)} bytes: {error}") from None
 
 
-def session_of(text: str) -> int:
-    """The session that a channel's metadata tell; 0 for what is none."""
-    return int(text, 16) if re.fullmatch("[0-9a-fA-F]{1,16}", text) else 0
+def session_of(metadata: Mapping[str, str]) -> int | None:
+    """The session that a channel's metadata tell: 0 if they tell none, None if what they tell is none."""
+    text = metadata.get(SESSION, "0")
+    return int(text, 16) if re.fullmatch("[0-9a-fA-F]{1,16}", text) else None
 
 
 def _text(data: bytes, place: int) -> tuple[str, int]:

@@ -1,6 +1,7 @@
 """SHELL: `sim-bridge board-conformance`: a lab's own thruster board against the rules of docs/board.md."""
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
@@ -118,23 +119,29 @@ def board_conformance(
 
 def _listen(wire: "BoardWire", client: "ParameterClient", first_word_s: float) -> None:
     """Listen until a heartbeat says what is there, for HEARD_WITHIN_S at most beyond what it needs to speak."""
-    end_ns, asked_ns = wire.now_ns() + round((HEARD_WITHIN_S + first_word_s) * 1e9), 0
-    while client.autopilot is None and wire.now_ns() < end_ns:
-        if wire.now_ns() - asked_ns > 1e9:
-            asked_ns = wire.now_ns()
-            wire.send(client.heartbeat())
-        client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
+    _ask(wire, client, client.heartbeat, lambda: client.autopilot is not None, HEARD_WITHIN_S + first_word_s)
 
 
 def _in_hil(wire: "BoardWire", client: "ParameterClient") -> bool:
     """True if the board says that it is in HIL mode."""
-    end_ns, asked_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9), None
-    while "HIL_MODE" not in client.values and client.error is None and wire.now_ns() < end_ns:
-        if asked_ns is None or wire.now_ns() - asked_ns > 1e9:  # a question or its answer may be lost
-            asked_ns = wire.now_ns()
-            wire.send(client.ask("HIL_MODE"))
-        client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
+
+    def is_over() -> bool:
+        return "HIL_MODE" in client.values or client.error is not None
+
+    _ask(wire, client, lambda: client.ask("HIL_MODE"), is_over, HEARD_WITHIN_S)
     return client.values.get("HIL_MODE") == 1.0
+
+
+def _ask(
+    wire: "BoardWire", client: "ParameterClient", question: Callable[[], bytes], is_over: Callable[[], bool], within_s: float
+) -> None:
+    """Listen until `is_over`, for so long at most, and ask each second: a question or its answer may be lost."""
+    end_ns, asked_ns = wire.now_ns() + round(within_s * 1e9), -math.inf
+    while not is_over() and wire.now_ns() < end_ns:
+        if wire.now_ns() - asked_ns > 1e9:
+            asked_ns = wire.now_ns()
+            wire.send(question())
+        client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
 
 
 def _print_results(outcomes: "Iterable[RuleResult]", quiet: bool) -> "Iterator[RuleResult]":

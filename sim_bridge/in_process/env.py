@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.planning.segment import sample
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from shoal.config.experiment import NO_CAMERA, load_experiment
 from shoal.config.loader import toml_value
-from shoal.frames import Array, pose_error
+from shoal.frames import Array, pool_to_body, pose_error
 from sim_bridge.fault_schedule import NUMERIC, require_kinds
 from sim_bridge.in_process.fleet import NS, DirectPlant
 from sim_bridge.in_process.run import plan
@@ -86,14 +87,10 @@ class Env:
 
     def _reference(self) -> tuple[Array, Array]:
         """Poses and velocities (n, 4) on the trajectories now, pool frame."""
-        rows = [(t.period_s * np.arange(len(t.eta)), t.eta, t.velocity) for t in self.trajectories]
-        eta, velocity = (
-            np.array([[np.interp(self._time_s, row[0], column) for column in row[k].T] for row in rows]) for k in (1, 2)
-        )
-        return eta, velocity
+        motions = [sample(trajectory, np.array([self._time_s])) for trajectory in self.trajectories]
+        return np.vstack([motion.eta for motion in motions]), np.vstack([motion.velocity for motion in motions])
 
 
 def _on_axes(vectors: Array, eta: Array) -> Array:
     """Vectors (n, 4) of the pool frame on the level axes of robots at eta."""
-    turned = (vectors[:, 0] + 1j * vectors[:, 1]) * np.exp(-1j * eta[:, 3])
-    return np.column_stack([turned.real, turned.imag, vectors[:, 2:]])
+    return np.hstack([pool_to_body(vectors[:, :2], eta[:, 3]), vectors[:, 2:]])
