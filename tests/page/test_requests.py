@@ -22,7 +22,7 @@ from shoal.messages.messages import (
 from tests.groundstation.fake_station import FakeStation
 from tests.page.elements import button, tile
 from tests.page.flights import PATIENCE_MS
-from tests.page.lone_station import lone_station
+from tests.page.lone_station import LoneStation, lone_station
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
@@ -131,7 +131,7 @@ def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser
         assert desk.orders == [CommandKind.TEST]
 
 
-def choose_robot(desk: FakeStation, mode: Mode) -> None:
+def choose_robot(desk: LoneStation, mode: Mode) -> None:
     """Open the page, and choose robot 2, which is in a mode."""
     desk.page.goto(desk.url)
     expect(button(desk.page, "You have control")).to_be_visible()
