@@ -3,15 +3,26 @@
 START and RESUME carry the same two numbers to the robots, so the station can compare their states with its own timetable.
 """
 
+import math
 from dataclasses import dataclass
 
 from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.telemetry import RobotView
+from shoal.config.vehicle import Vehicle
 from shoal.messages.messages import Mode
 
 START_IN_S = (
     0.5  # from a command to its effect in all robots at one instant; shorter, and a robot that is sent it twice joins late
 )
+
+
+def turn_s(vehicle: Vehicle, angle_rad: float) -> float:
+    """Time for a turn on the spot before a robot sets out: half of it with all of the yaw moment, half against it, and at the
+    greatest rate. A vehicle with side thrust sets out at any heading."""
+    if vehicle.limits.has_sway:
+        return 0.0
+    limits, angle = vehicle.limits, abs(angle_rad)
+    return 2.0 * math.sqrt(angle * vehicle.mass.yaw_kg_m2 / limits.wrench[2]) + angle / limits.yaw_rate_radps
 
 
 @dataclass(frozen=True)

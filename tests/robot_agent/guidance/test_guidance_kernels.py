@@ -80,12 +80,12 @@ def test_plans_are_sampled_as_by_interpolation_of_each(seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_trajectory_is_sampled_as_by_interpolation(seed: int) -> None:
     random = np.random.default_rng(seed)
-    path, offset_s = random.normal(size=(3, 30, 4)), np.sort(random.uniform(-1.0, 3.0, 40))
-    begin_s, period_s, time_s, rate = random.uniform(0.05, 1.0, 4).tolist()
+    path, offset_s = random.normal(size=(3, 30, 4)), np.sort(random.uniform(0.0, 3.0, 40))
+    begin_s, period_s, time_s, rate, waits_s = random.uniform(0.05, 1.0, 5).tolist()
     result = np.empty((3, 40, 4))
-    sample_trajectory(path, begin_s, period_s, time_s, rate, offset_s, result)
-    place = (time_s + rate * offset_s - begin_s) / period_s
-    moves = rate * ((place >= 0.0) & (place <= 29.0))[:, None]
+    sample_trajectory(path, begin_s, period_s, time_s, rate, waits_s, offset_s, result)
+    place = (time_s + rate * np.maximum(offset_s - waits_s, 0.0) - begin_s) / period_s
+    moves = rate * ((place >= 0.0) & (place <= 29.0) & (offset_s >= waits_s))[:, None]
     for rows, samples, pace in zip(result, path, (1.0, moves, moves**2), strict=True):
         assert rows == pytest.approx(pace * columns(samples, place), abs=1e-9)
 
