@@ -50,6 +50,7 @@ class SceneDrawer:
         self.replanned = True  # whether what stands has changed since `standing`
 
     def take(self, topic: Topic, robot: int, message: Any, stamp_ns: int) -> None:
+        """Keep the newest message of each kind that the scene is drawn from."""
         if topic is topics.STATE:
             self._states[robot] = stamp_ns, message
         elif topic is topics.PLAN:

@@ -282,6 +282,7 @@ class Admission:
         return room and lane.tokens.left(now_s) >= 1.0 and origin.tokens.left(now_s) >= 1.0
 
     def _try(self, connection: int, lane: int, now_s: float) -> int:
+        """Begin a handshake on a free lane."""
         name = self._leave(connection)
         if name in self._crowd:
             self._crowd.move_to_end(name)  # the others' turn comes first, now and the next time

@@ -282,6 +282,7 @@ class Mission:
         self.governor.start()
 
     def _prepare_return(self, fleet: Fleet) -> None:
+        """Aim all robots that can fly at the places where they started. Those that cannot are lost."""
         if self.state in AT_REST:
             began_ns = self.began_ns
             self._begin_run()
@@ -355,6 +356,7 @@ class Mission:
         return disarm + self._send(CommandKind.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in left], now_ns)
 
     def _wait(self, fleet: Fleet, now_ns: int) -> None:
+        """Wait for START. In automatic mode begin by itself once preflight passes and nothing moves."""
         moves = any(fleet[r].heard and fleet[r].mode in MOVING for r in self.roster.all_robots)
         reasons = preflight(self._experiment, fleet, self.plans.starts)
         self.reason = "; ".join(reasons) or (ATTENDED if self.automatic and self._needs_operator else "")
@@ -510,6 +512,7 @@ class Mission:
                 self.roster.mark_lost(robot, "disarmed")
 
     def _close_up(self, fleet: Fleet, now_ns: int) -> None:
+        """Close the gap of a lost robot: assign slots anew, and plan the way into them."""
         self._run.gap = False
         self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
         if self._form:  # the gap closes on the way into the form that was asked for
@@ -659,6 +662,7 @@ class Mission:
         return ()
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Have each robot test its thrusters, until all have a result."""
         results = {r: self._test_result(r, fleet[r], now_ns) for r in self.roster.active}
         if all(result not in ("", "running") for result in results.values()):
             self._go(MissionEvent.ALL_CONFIRMED, now_ns)

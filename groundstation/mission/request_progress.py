@@ -177,6 +177,7 @@ class RequestTracker:
     def _open_one(
         self, order: CommandKind, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET, task: RobotTask | None = None
     ) -> int:
+        """Open a request at its first step. Returns its number."""
         self._count += 1
         at_rest = order in OTHER_FLIGHTS and mission.state is MissionState.WAITING
         request = _Request(
@@ -287,6 +288,7 @@ class RequestTracker:
     def _gain_progress(
         self, request: _Request, mission: Mission, fleet: Fleet, tuning: GainStatus
     ) -> tuple[Progress, str, list[int]]:
+        """Progress of a change of gains, the reason if it failed, and the robots that have other gains still."""
         states = {robot: fleet[robot].state for robot in self._concerned(request, mission, fleet)}
         waiting = [robot for robot, state in states.items() if state is None or state.tuning_id != request.tuning_id]
         if tuning.stage is not GainStage.IDLE:

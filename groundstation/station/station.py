@@ -422,6 +422,7 @@ def _shown(text: str) -> str:
 
 
 def _planned(wanted: PlanRequest, out_of_time: OutOfTime) -> PlanSegment | PlanError:
+    """Plan in the planner's thread. Returns the plan, or the reason why there is none."""
     try:
         return wanted.plan(out_of_time)
     except PlanError as error:

@@ -214,6 +214,7 @@ class CameraFusion:
         return _squared(_difference(candidate.mean, motion.mean[:3]), candidate.covariance + motion.covariance[:3, :3]) > GATE
 
     def _fused(self, robot: int, candidates: Sequence[_Candidate]) -> Pose:
+        """One pose of those that several cameras have of a robot, by covariance intersection."""
         parts = [(candidate.mean, candidate.covariance + self._doubts[candidate.camera]) for candidate in candidates]
         mean, covariance = covariance_intersection(parts)
         best = max((candidate.message for candidate in candidates), key=lambda pose: (pose.track, pose.peak))

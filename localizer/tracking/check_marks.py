@@ -48,6 +48,7 @@ def with_camera(experiment: Experiment, camera: str) -> Experiment:
 
 
 def _check_lens(experiment: Experiment) -> None:
+    """Raise ConfigError for a lens whose distortion cannot be undone in all of the picture."""
     camera = experiment.camera
     if (fold := fold_px(Intrinsics.of(camera))) > LARGEST_FOLD_PX:
         raise ConfigError(

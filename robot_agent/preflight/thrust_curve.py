@@ -63,6 +63,7 @@ def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[Thrus
 
 
 def _number(cell: str, where: str) -> float:
+    """A finite number from a cell of the table. Raises ConfigError."""
     try:
         value = float(cell)
     except ValueError:

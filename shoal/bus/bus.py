@@ -143,6 +143,7 @@ class Inbox(Generic[M]):
         return self._last_read
 
     def _newest(self, up_to_ns: int | None) -> Received[M] | None:
+        """The newest message that can be decoded, of those stamped until then."""
         for one in reversed(self._kept):
             if up_to_ns is not None and one.header.stamp_ns > up_to_ns:
                 continue
@@ -153,6 +154,7 @@ class Inbox(Generic[M]):
         return None
 
     def _decode(self, kept: "_Kept[M]") -> Received[M] | None:
+        """Decode a message; None for a bad one, which is counted."""
         try:
             message = self._bus.decode(self._kind, kept.payload, f"session {kept.header.session:x}", self._topic.name)
         except DecodeError as error:

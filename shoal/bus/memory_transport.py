@@ -44,6 +44,8 @@ class MemoryTransport:
         self._hub = hub
 
     def publisher(self, key: str, qos: Qos, cache_depth: int = 0) -> Callable[[bytes, bytes], None]:
+        """The function that delivers a message to all that subscribe, at once. The last ones are kept for later
+        subscribers."""
         with self._hub.lock:
             cached = self._hub.cache.setdefault(key, deque(maxlen=cache_depth))
 
@@ -57,6 +59,7 @@ class MemoryTransport:
         return put
 
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
+        """Deliver messages from now on, and for events also those that are kept."""
         with self._hub.lock:
             self._hub.subscribers.append((key, deliver, self))
             self._hub.routes.clear()
@@ -66,6 +69,7 @@ class MemoryTransport:
             deliver(*entry)
 
     def collect(self, key: str, qos: Qos) -> Collect:
+        """The function that returns the messages since its last call."""
         waiting: deque[tuple[str, bytes, bytes]] = deque()
         self.subscribe(key, qos, lambda *message: waiting.append(message))
 

@@ -164,6 +164,7 @@ class SerialLink:
         )
 
     def _reopen(self) -> None:
+        """Open the serial port again, or note why that cannot be done."""
         try:
             self._port = serial.Serial(self._device, self._found_baud, timeout=0, write_timeout=0, exclusive=True)
             _keep_dtr(self._port.fileno())

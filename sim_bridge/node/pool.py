@@ -183,6 +183,7 @@ class PoolNode:
             _end(camera, exposures)
 
     def _expose(self, world: World, begin_ns: int, exposures: "queue.Queue[Exposure | None]") -> None:
+        """Publish the truth, and hand an exposure to the camera; left out if that is still busy with those before."""
         stamp_ns = begin_ns + world.now_ns
         self._bus.publish(topics.TRUTH, world.truth(), stamp_ns)
         exposure = self._exposure(world, stamp_ns)

@@ -82,6 +82,7 @@ class BoardStateMachine:
         self._command, self._command_ns = pulses_us, now_ns
 
     def _is_allowed(self, pulses_us: tuple[int, ...]) -> bool:
+        """True for an override of which every pulse is within its limits."""
         (slowest, fastest), (lowest, highest) = self.parameters.thruster_us, self.parameters.ankle_us
         thrusters = self.parameters.thrusters
         return (
@@ -107,6 +108,7 @@ class BoardStateMachine:
         return ACCEPTED
 
     def _arming_refusal(self, now_ns: int) -> str:
+        """The reason why the board cannot be armed, or ""."""
         still_low, still_high = self.parameters.dead_zone_us
         if self._is_stale(now_ns):
             return "no override is arriving"
