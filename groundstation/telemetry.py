@@ -249,8 +249,8 @@ def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -
     """Reason why these robots may not fly by their poses, with the remedy; empty if they may."""
     for robot in robots:
         view = fleet[robot]
-        for *_, text, remedy in _pose_senders(experiment, view, view.state) if view.state is not None else ():
-            return f"robot {robot}: {text} ({remedy})"
+        for problem in _pose_senders(experiment, view, view.state) if view.state is not None else ():
+            return f"robot {robot}: {problem.text} ({problem.remedy})"
     return ""
 
 

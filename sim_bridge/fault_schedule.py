@@ -102,14 +102,16 @@ class FaultSchedule:
         return f"before the start{during} {what}" if for_s and time_s < 0.0 else f"t={max(time_s, 0.0):.3f}{during} {what}"
 
     def quiet_steps(self, time_s: float, step_s: float, most: int, plant_s: float = 0.0) -> int:
-        """Plant steps from `time_s` to the first instant of a step at which a fault begins or ends; 1 to `most`."""
+        """Number of plant steps, 1 to `most`, before the next fault begins or ends. `time_s` is along the trajectories, as the
+        experiment's faults are; `plant_s` is the plant's, as those of a person are."""
         if not (self._faults or self._by_hand):
             return most
-        begins = [fault.at_s for fault in self._faults]
-        ends = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
-        left_s = [change_s - time_s for change_s in (*begins, *ends)] + [over_s - plant_s for _, over_s in self._by_hand]
-        change_s = min((left for left in left_s if left > 0.0), default=math.inf)
-        return most if change_s >= most * step_s else max(math.ceil((change_s - ROUNDING_S) / step_s), 1)
+        begins_s = [fault.at_s for fault in self._faults]
+        ends_s = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
+        until_s = [change_s - time_s for change_s in (*begins_s, *ends_s)]
+        until_s += [over_s - plant_s for _, over_s in self._by_hand]
+        next_s = min((left_s for left_s in until_s if left_s > 0.0), default=math.inf)
+        return most if next_s >= most * step_s else max(math.ceil((next_s - ROUNDING_S) / step_s), 1)
 
     def pulses(self, pulses_us: Array) -> Array:
         """The pulses (n, 8) that thrusters get, from those on the boards' outputs: a stuck one keeps its last."""

@@ -304,20 +304,27 @@ class RequestTracker:
         mission: Mission,
         progress: Progress = Progress.UNDER_WAY,
         reason: str = "",
-        why: dict[int, str] | None = None,
+        waiting: dict[int, str] | None = None,
         concerned: Sequence[int] = (),
     ) -> None:
-        """Keep the outcome of a request, in place of an earlier one of the same number."""
-        late = why or {}
-        confirmed = tuple(robot for robot in concerned if robot not in late)
+        """Keep the outcome of a request, in place of an earlier one of the same number. `waiting`: the robots of those
+        `concerned` that have not confirmed it, with their reasons. Of the requests that are over, the oldest are forgotten."""
+        waiting = waiting or {}
         outcome = Outcome(
-            request.number, request.order, progress, reason, mission.state.name, confirmed, tuple(late), tuple(late.values())
+            request=request.number,
+            order=request.order,
+            progress=progress,
+            reason=reason,
+            mission=mission.state.name,
+            confirmed=tuple(robot for robot in concerned if robot not in waiting),
+            waiting=tuple(waiting),
+            why=tuple(waiting.values()),
         )
-        kept = [*(earlier for earlier in self._outcomes if earlier.request != request.number), outcome]
-        over = [earlier.request for earlier in kept if earlier.progress is not Progress.UNDER_WAY]
+        outcomes = [*(earlier for earlier in self._outcomes if earlier.request != request.number), outcome]
+        over = [kept.request for kept in outcomes if kept.progress is not Progress.UNDER_WAY]
         forgotten = frozenset(over[: -(KEPT + len(self._robots))])
-        self._outcomes = [earlier for earlier in kept if earlier.request not in forgotten]
-        self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
+        self._outcomes = [kept for kept in outcomes if kept.request not in forgotten]
+        self.recent = tuple(sorted(self._outcomes, key=lambda kept: kept.request))
 
 
 def _counts(request: _Request, mission: Mission, view: RobotView) -> bool:
