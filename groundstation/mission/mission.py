@@ -25,7 +25,6 @@ from groundstation.mission.objections import (
 )
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanManager, PlanRequest
-from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.mission.roster import LED, Leader, Roster
 from groundstation.mission.state_machine import (
     AT_REST,
@@ -41,7 +40,7 @@ from groundstation.mission.state_machine import (
     next_state,
     rejection_reason,
 )
-from groundstation.mission.timetable import START_IN_S, Timetable
+from groundstation.mission.timetable import START_IN_S, ProgressGovernor, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
