@@ -38,6 +38,16 @@ class LinkFaults:
     loss: float = 0.0  # fraction lost; the same fraction is duplicated, and the same is overtaken by later datagrams
     delay_s: float = 0.0
 
+    def with_effect(self, broken: Break) -> "LinkFaults":
+        """These and another fault."""
+        match broken.effect:
+            case "cut":
+                return replace(self, cut=True)
+            case "noisy":
+                return replace(self, loss=broken.value)
+            case _:
+                return replace(self, delay_s=broken.value)
+
 
 @dataclass(frozen=True)
 class ImuFaults:
@@ -153,9 +163,7 @@ class FaultSchedule:
         self.without_radio = frozenset(b.robot for _, b in self._of("radio"))
         self.links = [LinkFaults()] * n
         for i, b in self._of("link"):
-            old, is_noisy, is_slow = self.links[i], b.effect == "noisy", b.effect == "slow"
-            loss, delay_s = b.value if is_noisy else old.loss, b.value if is_slow else old.delay_s
-            self.links[i] = LinkFaults(old.cut or b.effect == "cut", loss, delay_s)
+            self.links[i] = self.links[i].with_effect(b)
 
 
 def is_among(broken: Break, kinds: tuple[str, ...]) -> bool:

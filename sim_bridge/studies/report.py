@@ -101,7 +101,8 @@ def _facts(campaign: Campaign, rows: Sequence[Row], flown: Sequence[Row], wanted
 
 
 def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str, list[tuple[float, float]]]]:
-    """Pairs of a drawn number and the measure; of a drawn list for each component that varies."""
+    """Scatters of a measure over a key that is drawn at random, each as name and pairs (drawn number, measure): one for a
+    number, one for each component of a list that varies; none for texts."""
     drawn = [(row[key], row[measure]) for row in flown if row.get(measure) is not None]
     if not drawn or not all(np.asarray(value).dtype.kind in "if" for value, _ in drawn):
         return []

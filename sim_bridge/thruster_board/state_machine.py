@@ -140,18 +140,19 @@ class BoardStateMachine:
         return ""
 
     def battery(self, voltage: float, elapsed_s: float) -> None:
-        """Take a voltage, `elapsed_s` after the one before. A level is entered below its threshold, and left well above
-        it."""
+        """Take in a voltage, `elapsed_s` after the one before, through a low-pass filter. A level is entered below its
+        threshold, and left well above it."""
         voltage = voltage if math.isfinite(voltage) else 0.0
         before = voltage if self._voltage is None else self._voltage
         smooth = self._voltage = before + (voltage - before) * -math.expm1(-elapsed_s / BATTERY_FILTER_S)
         thresholds, hysteresis = self.parameters.thresholds_v, self.parameters["BAT_HYST_V"]
-        below = sum(smooth < threshold for threshold in thresholds)
-        not_clear = sum(smooth < threshold + hysteresis for threshold in thresholds)
-        was, self.charge = self.charge, Charge(min(max(self.charge, below), not_clear))
-        if self.charge is was:
+        entered = sum(smooth < threshold for threshold in thresholds)
+        not_left = sum(smooth < threshold + hysteresis for threshold in thresholds)
+        charge_before = self.charge
+        self.charge = Charge(min(max(self.charge, entered), not_left))
+        if self.charge is charge_before:
             return
-        severity = CRITICAL if self.charge is Charge.NEUTRAL else WARNING if self.charge > was else INFO
+        severity = CRITICAL if self.charge is Charge.NEUTRAL else WARNING if self.charge > charge_before else INFO
         self.texts.append(StatusText(severity, f"battery {self.charge.name}: {voltage:.1f} V"))
         if self.charge is Charge.NEUTRAL and self.armed:
             self._disarm(CRITICAL, "disarmed: battery empty")
