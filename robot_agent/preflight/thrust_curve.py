@@ -108,7 +108,7 @@ class _Block(NamedTuple):
 
     mean: float
     weight: int
-    count: int
+    size: int  # number of values
 
 
 def _isotonic(values: Sequence[float], weights: Sequence[int]) -> list[float]:
@@ -120,9 +120,9 @@ def _isotonic(values: Sequence[float], weights: Sequence[int]) -> list[float]:
             before = blocks.pop()
             total = before.weight + block.weight
             mean = (before.mean * before.weight + block.mean * block.weight) / total
-            block = _Block(mean, total, before.count + block.count)
+            block = _Block(mean, total, before.size + block.size)
         blocks.append(block)
-    return [block.mean for block in blocks for _ in range(block.count)]
+    return [block.mean for block in blocks for _ in range(block.size)]
 
 
 def interpolate(curve: Sequence[tuple[int, float]], pulse_us: float) -> float:
