@@ -208,6 +208,7 @@ class Recorder:
         self._gatherer.start()
 
     def _gather(self, sources: Sequence[Collected], arrival_ns: Callable[[Header], int]) -> None:
+        """Put what the bus has collected into the log, again and again, until the recorder is closed."""
         ended = False
         try:
             while not ended:
@@ -279,6 +280,7 @@ class Recorder:
             self._writer.add_message(channel, max(log_time_ns, 0), payload, stamp_ns, sequence)
 
     def _channel(self, topic: Topic, key: str, session: int) -> int:
+        """Number of the log's channel for a topic of a sender, which is declared at the first message."""
         cls = protobuf_class(topic.type)
         if cls not in self._schemas:
             name, files = cls.DESCRIPTOR.full_name, build_file_descriptor_set(cls).SerializeToString()

@@ -25,7 +25,6 @@ from groundstation.mission.objections import (
 )
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanManager, PlanRequest
-from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.mission.roster import LED, Leader, Roster
 from groundstation.mission.state_machine import (
     AT_REST,
@@ -41,7 +40,7 @@ from groundstation.mission.state_machine import (
     next_state,
     rejection_reason,
 )
-from groundstation.mission.timetable import START_IN_S, Timetable
+from groundstation.mission.timetable import START_IN_S, ProgressGovernor, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
@@ -145,7 +144,7 @@ class Mission:
         self._last_state: MissionState | None = None  # of the last request: the mission goes no further than this
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
-        self._needs_operator = False  # an automatic mission does not go on by itself
+        self._awaits_operator = False  # a person took a hand in it, or only a person can tell how to go on
         self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
         self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
@@ -158,6 +157,12 @@ class Mission:
     def _awaits_return(self) -> bool:
         """True while a run that began with RETURN has no plan yet: nobody has flown in it, and it leads nowhere but home."""
         return self._run.homeward and not self.segment.is_return
+
+    @property
+    def _goes_on_by_itself(self) -> bool:
+        """True if no request is needed to begin or resume: in an automatic mission whose run is not over, also when a thruster
+        test after it has led to WAITING, and that does not wait for the operator."""
+        return self.automatic and self.verdict is None and not self._awaits_operator
 
     @property
     def plan_request(self) -> PlanRequest | None:
@@ -183,7 +188,7 @@ class Mission:
         self._last_state = {CommandKind.LOAD: MissionState.LOADING, CommandKind.ARM: MissionState.ARMING}.get(order)
         at_rest = before in AT_REST and order in OTHER_FLIGHTS
         if order is not CommandKind.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
-            self._needs_operator = order in (CommandKind.HOLD, CommandKind.CLEAR_STOP) or at_rest
+            self._awaits_operator = order in (CommandKind.HOLD, CommandKind.CLEAR_STOP) or at_rest
         self._prepare(order, context)
         self._go(order, now_ns)
         if at_rest:
@@ -237,7 +242,7 @@ class Mission:
     def lead(self, robot: int, order: CommandKind) -> None:
         """Let a person lead one robot."""
         self._give_up_s = None
-        self._needs_operator = True
+        self._awaits_operator = True
         self.roster.led_by[robot] = Leader.PERSON
         if self.takes_out(order) and robot not in self.roster.lost:
             self.roster.mark_lost(robot, LED)
@@ -246,7 +251,7 @@ class Mission:
         """Take note that a robot is out of the water, or back in it. Somebody's hands are in the water: an automatic mission
         waits for a person's START or RESUME."""
         self._give_up_s = None
-        self._needs_operator = True
+        self._awaits_operator = True
         if is_out:
             self.roster.take_out(robot)
         else:
@@ -282,6 +287,7 @@ class Mission:
         self.governor.start()
 
     def _prepare_return(self, fleet: Fleet) -> None:
+        """Aim all robots that can fly at the places where they started. Those that cannot are lost."""
         if self.state in AT_REST:
             began_ns = self.began_ns
             self._begin_run()
@@ -355,10 +361,11 @@ class Mission:
         return disarm + self._send(CommandKind.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in left], now_ns)
 
     def _wait(self, fleet: Fleet, now_ns: int) -> None:
+        """Wait for START. In automatic mode begin by itself once preflight passes and nothing moves."""
         moves = any(fleet[r].heard and fleet[r].mode in MOVING for r in self.roster.all_robots)
         reasons = preflight(self._experiment, fleet, self.plans.starts)
-        self.reason = "; ".join(reasons) or (ATTENDED if self.automatic and self._needs_operator else "")
-        if self.automatic and not self._needs_operator and not reasons and not moves:
+        self.reason = "; ".join(reasons) or (ATTENDED if self.automatic and not self._goes_on_by_itself else "")
+        if self._goes_on_by_itself and not reasons and not moves:
             self._may_arm(now_ns)
             self._begin_run()
             self._go(MissionEvent.PREFLIGHT_PASSED, now_ns)
@@ -494,10 +501,10 @@ class Mission:
                 return
             if self.state is not MissionState.PAUSED:
                 self._go(MissionEvent.LOST_HOLD, now_ns)
-            self._needs_operator = True
+            self._awaits_operator = True
         elif policy == "close-up" and not returns:
             self._run.gap = True
-            if not (self._needs_operator and self.state is MissionState.PAUSED):
+            if not (self._awaits_operator and self.state is MissionState.PAUSED):
                 self._close_up(fleet, now_ns)
         elif next_state(self.state, MissionEvent.LOST_REPLAN) is not None:
             self._go(MissionEvent.LOST_REPLAN, now_ns)
@@ -510,6 +517,7 @@ class Mission:
                 self.roster.mark_lost(robot, "disarmed")
 
     def _close_up(self, fleet: Fleet, now_ns: int) -> None:
+        """Close the gap of a lost robot: assign slots anew, and plan the way into them."""
         self._run.gap = False
         self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
         if self._form:  # the gap closes on the way into the form that was asked for
@@ -601,7 +609,7 @@ class Mission:
         unfit = preflight(self._experiment, {r: fleet[r] for r in self.roster.active})
         if moving or unfit or (not self._may_replan and self.plans.first_contact(fleet)):
             self._data.since_ns = now_ns
-        elif self.automatic and not self._needs_operator and now_ns - self._data.since_ns > SETTLE_S * 1e9:
+        elif self._goes_on_by_itself and now_ns - self._data.since_ns > SETTLE_S * 1e9:
             self._go(MissionEvent.RECOVERED, now_ns)
             self._replan_if_needed(fleet, now_ns)
             return ()
@@ -659,6 +667,7 @@ class Mission:
         return ()
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Have each robot test its thrusters, until all have a result."""
         results = {r: self._test_result(r, fleet[r], now_ns) for r in self.roster.active}
         if all(result not in ("", "running") for result in results.values()):
             self._go(MissionEvent.ALL_CONFIRMED, now_ns)
@@ -698,7 +707,8 @@ class Mission:
                     self._fail(MissionEvent.LOST_ALL, why, now_ns)
                     return
                 self._go(MissionEvent.NO_PLAN, now_ns)
-                self._needs_operator, self.reason = True, why
+                self._awaits_operator = True
+                self.reason = why
         elif self.state is MissionState.SWITCHING:
             if isinstance(outcome, PlanSegment):
                 self.plans.next = outcome
@@ -757,8 +767,6 @@ class Mission:
             self.verdict = state
         elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
             self.verdict = None
-        if state in TERMINAL:  # it is over: a thruster test, which leads to WAITING, begins no other run
-            self._needs_operator = True
         if state is MissionState.HALTING and self.state not in PLANNING and isinstance(cause, MissionEvent):
             self._still_to_arm = frozenset()  # robots flew just now: one that is disarmed is lost
         if state in JOINING:  # one instant for all, the same in every command: late robots join where the others are

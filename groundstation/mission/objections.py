@@ -130,6 +130,7 @@ def _no_places(context: RequestContext) -> str:
 
 
 def _unchangeable(context: RequestContext) -> str:
+    """The reason why the path cannot be left for other places under way, or ""."""
     experiment = context.flown
     if can_replan(experiment):
         return ""
@@ -141,6 +142,7 @@ def _unchangeable(context: RequestContext) -> str:
 
 
 def _no_form(context: RequestContext) -> str:
+    """The reason why the formation cannot take the form that is asked for, or ""."""
     try:
         changes = read_form(context.text, 0.0)
     except ValueError as error:

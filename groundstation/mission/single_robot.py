@@ -210,6 +210,7 @@ class SingleRobotControl:
         return ""
 
     def _no_place(self, robot: int, fleet: Fleet, place_m: tuple[float, float] | None) -> str:
+        """The reason why a robot cannot go to a place, or ""."""
         if place_m is None:
             return "where to? (one place, x and y in m)"
         length, width, _ = self._experiment.pool.size_m
@@ -386,6 +387,7 @@ class SingleRobotControl:
 
 
 def _text(task: RobotTask) -> str:
+    """A robot's own task, as the operator reads it."""
     if task.order is CommandKind.GO and task.place_m is not None:
         return f"on its way to {task.place_m[0]:.2f}, {task.place_m[1]:.2f} m"
     if task.order is CommandKind.DRIVE and task.velocity is None:

@@ -230,6 +230,7 @@ class _Leaving:
 
 
 def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
+    """Run a cycle of the station each control period, and earlier when it is woken, until the run is over."""
     period_ns = round(station.experiment.controller.period_s * 1e9)
     due_ns, leaving = time.monotonic_ns(), _Leaving(station, stop)
     while not stop.requested or not leaving.over():

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
@@ -90,6 +91,13 @@ def workers(robots: int) -> Iterator[Workers]:
             closing.set()
 
 
+class PlanTask(NamedTuple):
+    """A plan that is being computed."""
+
+    request: PlanRequest
+    outcome: "Future[PlanSegment | PlanError]"
+
+
 @dataclass
 class Station:
     """The station's cycle and its state. Other threads hold `lock`, or read only what is replaced and never changed: `views`,
@@ -105,7 +113,7 @@ class Station:
     workers: Workers
     links: dict[int, LinkMonitor] = field(default_factory=dict)
     views: Fleet = field(default_factory=dict)  # as of the last cycle
-    planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
+    planning: "dict[str, PlanTask]" = field(default_factory=dict)
     published: tuple[PlanSegment, Mapping[int, Trajectory]] | None = None  # segment, and what robots fly alone
     obstacles_up_to_ns: int | None = None  # where time waits: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
@@ -211,14 +219,15 @@ class Station:
         where time waits at once. An outcome is dropped if no request waits for it any more."""
         for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
-                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience(wanted))
+                outcome = self.workers.plans.submit(_planned, wanted, self._patience(wanted))
+                self.planning[name] = PlanTask(wanted, outcome)
             if self.clock.waits and name in self.planning:
-                self._await_unlocked(self.planning[name][1])
+                self._await_unlocked(self.planning[name].outcome)
         for name, wanted in self.core.plan_requests():  # asked again: requests came while this waited
-            if name in self.planning and (self.clock.waits or self.planning[name][1].done()):
-                task, outcome = self.planning.pop(name)
-                if task is wanted:
-                    self.core.planned(name, outcome.result(), self.views, now_ns)
+            if name in self.planning and (self.clock.waits or self.planning[name].outcome.done()):
+                task = self.planning.pop(name)
+                if task.request is wanted:
+                    self.core.planned(name, task.outcome.result(), self.views, now_ns)
 
     def _patience(self, plan: PlanRequest) -> OutOfTime:
         """Limit of time of a plan that begins now: while it is wanted, for its owner's next one waits until it has ended; and
@@ -422,6 +431,7 @@ def _shown(text: str) -> str:
 
 
 def _planned(wanted: PlanRequest, out_of_time: OutOfTime) -> PlanSegment | PlanError:
+    """Plan in the planner's thread. Returns the plan, or the reason why there is none."""
     try:
         return wanted.plan(out_of_time)
     except PlanError as error:

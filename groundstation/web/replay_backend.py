@@ -217,20 +217,27 @@ class LogPlayer:
         return past_row(snapshot(FleetSnapshot(time_s=at_ns * 1e-9, robots=robots, localizer=aged(topics.LOCALIZER))))
 
     def link(self, robot: int, at_ns: int) -> LinkMonitor:
-        """Link and clock of a robot as the station knew them at a time. The age that a sender stated is not in the log; of a
-        state it is about the time that its control step took."""
-        link, newest = LinkMonitor(), self.newest(topics.STATE, RobotState, at_ns, robot)
+        """Link and clock of a robot as the station knew them at a time, by the last states until then.
+
+        The log does not record how old a message was when it was sent. For a state that is about the duration of its control
+        step, and nothing in lockstep, where a message arrives at its stamp.
+        """
+        link = LinkMonitor()
+        newest = self.newest(topics.STATE, RobotState, at_ns, robot)
         if newest is None:
             return link
-        window: list[tuple[Header, int]] = []
-        for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LINK_BLOCKS, -1), -1):
+        _, state = newest
+        step_ns = round(state.timing.step_us * 1e3)
+        last_block = at_ns // BLOCK_NS
+        received: list[tuple[Header, int]] = []  # header and arrival in ns from the log's start, ascending
+        for index in range(max(last_block - LINK_BLOCKS + 1, 0), last_block + 1):
             arrivals, _, headers = self._block(index).messages.get((topics.STATE.name, robot), ([], [], []))
-            k = bisect_right(arrivals, at_ns)
-            window = [*zip(headers[:k], arrivals[:k], strict=True), *window]
-        for header, arrived in window[-LINK_WINDOW:]:
-            arrived_ns = arrived + self.start_ns  # in lockstep the stamp itself
-            held_ns = round(newest[1].timing.step_us * 1e3) if arrived_ns != header.stamp_ns else 0
-            link.add((header,), header, arrived_ns - held_ns)
+            count = bisect_right(arrivals, at_ns)
+            received += zip(headers[:count], arrivals[:count], strict=True)
+        for header, arrival_ns in received[-LINK_WINDOW:]:
+            arrived_ns = arrival_ns + self.start_ns
+            is_lockstep = arrived_ns == header.stamp_ns
+            link.add((header,), header, arrived_ns if is_lockstep else arrived_ns - step_ns)
         return link
 
     def close(self) -> None:

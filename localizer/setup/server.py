@@ -78,6 +78,7 @@ class SetupServer:
         return JSONResponse(self._session.state(len(self._pages)))
 
     async def _do(self, request: Request) -> Response:
+        """Do what the page asks for, in a thread. The reply holds a problem or what was found."""
         if not self._allowed(request):
             return _refused()
         try:

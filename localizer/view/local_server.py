@@ -94,6 +94,7 @@ class PictureStream:
         return _Stream(self._parts(), self._places.release)
 
     def _parts(self) -> Iterator[bytes]:
+        """Pictures as an endless multipart response (MJPEG)."""
         last_number = 0
         yield f"--{_BOUNDARY}\r\n".encode()
         while (news := self._newest(last_number)) is not None:
