@@ -129,6 +129,36 @@ def test_two_replans_in_a_row_and_one_to_a_requested_place() -> None:
     assert np.hypot(*(again.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01  # the person's place still counts
 
 
+ROOM = ["pool.size_m=[9.0,8.0,1.2]", "localizer.uses_camera=false", "article=[]"]
+SQUARE = 'path={kind="waypoints",points_m=[[-2,-2],[2,-2],[2,2],[-2,2]],speed_mps=0.15,depth_m=0.4,slow=true,stop=true}'
+AND_BACK = 'path={kind="route",via_m=[[-2.5,0.0],[2.5,0.0],[2.5,2.0],[-2.5,0.0]],speed_mps=0.15,depth_m=0.4}'
+
+
+def test_a_second_detour_leads_to_no_place_that_was_passed_before_the_first() -> None:
+    """The way that the first detour left comes nearest to the first corner at its end."""
+    experiment = load_experiment("pool", [*ROOM, SQUARE, "duration_s=110"])
+    segment = first_segment(experiment)
+    for begin_s, away_s in ((36.0, 40.0), (42.0, 30.0)):
+        x, y = sample(segment.centre, np.array([begin_s + away_s])).eta[0, :2]
+        segment = replan(experiment, segment, begin_s, np.array([[x, y, 0.1]]))
+    assert segment.centre.eta[:, 1].min() > -0.5 and np.hypot(*(segment.centre.eta[:, :2] - 2.0).T).min() < 1.0
+    assert np.allclose(segment.centre.eta[-1, :2], [-2.0, 2.0], atol=0.01)
+
+
+def test_a_detour_on_a_way_there_and_back_ends_when_it_is_back() -> None:
+    """The fleet begins at the last place; it does not stay there afterwards for as long as the whole way took."""
+    experiment = load_experiment("pool", [*ROOM, AND_BACK, "duration_s=140"])
+    before = first_segment(experiment)
+    x, y = sample(before.centre, np.array([54.0])).eta[0, :2]
+    after = replan(experiment, before, 14.0, np.array([[x, y, 0.1]]))
+
+    def stays_s(segment: PlanSegment) -> float:
+        away = np.hypot(*(segment.centre.eta[:, :2] - segment.centre.eta[-1, :2]).T)
+        return segment.end_s - segment.centre.begin_s - PERIOD_S * float(np.flatnonzero(away > 0.01)[-1])
+
+    assert stays_s(after) == pytest.approx(stays_s(before), abs=1.0)
+
+
 @pytest.mark.long
 def test_no_way_round_is_refused_with_the_reason() -> None:
     wall = np.array([[1.0, y, 0.3] for y in np.arange(-4.0, 4.1, 0.5)])
