@@ -112,7 +112,7 @@ class _RunData:
 
     ended_by: MissionEvent = MissionEvent.ALL_CONFIRMED  # event of ENDING when every robot is disarmed: how the run ended
     homeward: bool = False  # it began with RETURN, from rest
-    gap: bool = False  # a robot was lost while the operator held the others: they close up when they may go on
+    gap: bool = False  # robots are to close up where one was lost; it may have been taken out of the water since
 
 
 class Mission:
@@ -212,10 +212,13 @@ class Mission:
             self._prepare_return(fleet)
         if order is CommandKind.REJOIN:
             self.roster.reinstate(fit_to_rejoin(self._context(fleet)))
+            self._run.gap = self.roster.trouble
             if self._awaits_return:
                 self.plans.target_return()
             else:
                 self.plans.target_slots()
+        if order in OTHER_FLIGHTS and self.state is MissionState.PAUSED and self._has_gap:
+            self._close_slots(fleet)
         if order in OTHER_FLIGHTS and self.state in AT_REST:
             self.plans.reset()  # it begins another run, with all robots
         elif order is CommandKind.FORMATION and self.state is MissionState.PAUSED:
@@ -497,7 +500,7 @@ class Mission:
             self._needs_operator = True
         elif policy == "close-up" and not returns:
             self._run.gap = True
-            if not (self._needs_operator and self.state is MissionState.PAUSED):
+            if not (self._needs_operator and self.state is MissionState.PAUSED):  # else when they may go on
                 self._close_up(fleet, now_ns)
         elif next_state(self.state, MissionEvent.LOST_REPLAN) is not None:
             self._go(MissionEvent.LOST_REPLAN, now_ns)
@@ -509,9 +512,18 @@ class Mission:
             if fleet[robot].mode is Mode.DISARMED:
                 self.roster.mark_lost(robot, "disarmed")
 
-    def _close_up(self, fleet: Fleet, now_ns: int) -> None:
+    @property
+    def _has_gap(self) -> bool:
+        """True if robots are to close up where one was lost, whatever a person asks of those that hold."""
+        closes = self._experiment.mission.lost == "close-up" and not self.segment.is_return
+        return closes and (self._run.gap or self.roster.trouble) and self.roster.has_gap
+
+    def _close_slots(self, fleet: Fleet) -> None:
         self._run.gap = False
         self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
+
+    def _close_up(self, fleet: Fleet, now_ns: int) -> None:
+        self._close_slots(fleet)
         if self._form:  # the gap closes on the way into the form that was asked for
             self.plans.target_form(self._form)
         else:
@@ -615,12 +627,15 @@ class Mission:
     def _replan_if_needed(self, fleet: Fleet, now_ns: int) -> None:
         """After RESUMING began: plan from rest where robots cannot simply go on.
 
-        The reasons: robots are to return, and have no plan yet; they are on different plans; one was carried too far off; a
-        gap is to be closed; an obstacle, a lost robot for example, lies on the path.
+        The reasons: robots are to return, and have no plan yet; a gap is to be closed; they are on different plans; one was
+        carried too far off; an obstacle, a lost robot for example, lies on the path.
         """
         if self._awaits_return:
             self.plans.target_return()
             self._go(MissionEvent.OFF_PLAN, now_ns)
+            return
+        if self._has_gap:
+            self._close_up(fleet, now_ns)
             return
         off_plan = [
             f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
@@ -630,8 +645,6 @@ class Mission:
             self.plans.target_current()
             self._go(MissionEvent.OFF_PLAN, now_ns)
             self.reason = "; ".join(off_plan)
-        elif self._run.gap and self.roster.lost and not self.segment.is_return:
-            self._close_up(fleet, now_ns)
         elif self._may_replan and self.plans.first_contact(fleet):
             self.plans.target_current()
             self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
@@ -753,9 +766,10 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
+        begins = cause in (CommandKind.START, MissionEvent.PREFLIGHT_PASSED)  # a LOAD or an ARM alone makes no robot fly
         if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop or a DISARM after the run has ended so
             self.verdict = state
-        elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
+        elif begins or (self.state in AT_REST and state is MissionState.HALTING):
             self.verdict = None
         if state in TERMINAL:  # it is over: a thruster test, which leads to WAITING, begins no other run
             self._needs_operator = True
