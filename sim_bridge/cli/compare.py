@@ -100,7 +100,7 @@ def tune(
         console.print(f"{tuned.law}: cost {tuned.first:.3f} before, {tuned.best:.3f} after {after} trials", soft_wrap=True)
         if tuned.cut_short:
             code = 1
-            console.print(f"{tuned.law}: the search ended so: {tuned.cut_short}", style="red", soft_wrap=True)
+            console.print(f"{tuned.law}: the search has not ended: {tuned.cut_short}", style="red", soft_wrap=True)
         typer.echo(tuned.toml())
     raise typer.Exit(code)
 

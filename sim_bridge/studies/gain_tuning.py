@@ -28,6 +28,7 @@ SCENES: dict[str, tuple[float, tuple[str, ...]]] = {  # scatter of the starts, s
     "pool": (0.1, (*NOISE, "sim.plant.step_s=0.025")),
 }
 DURATION_S = 28.0
+INTERRUPTED = "it was interrupted"
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ def run(
     jobs: int,
     console: Console,
 ) -> Iterator[TuningResult]:
-    """Tune one law after another. What ends a search takes no trial with it that was flown: they may be hours. Raises what
-    ended one that had flown none."""
+    """Tune one law after another. What ends a search, Ctrl-C too, takes no trial with it that was flown: they may be hours.
+    Raises what ended one that had flown none."""
     unknown = [scene for scene in scenes if scene not in SCENES]
     if unknown:
         raise ConfigError(f"scene {unknown[0]!r}: nothing is known of its scatter (allowed: {', '.join(SCENES)})")
@@ -68,6 +69,8 @@ def run(
         with worker_pool(jobs) as pool:  # of its own: one whose process died flies no more
             tuned = _tune(law, tasks, budget, pool, console)
         yield tuned
+        if tuned.cut_short == INTERRUPTED:
+            return
 
 
 def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolExecutor, console: Console) -> TuningResult:
@@ -87,10 +90,10 @@ def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolE
             best = min(trials, key=lambda t: t.cost)
             if best is trial:
                 console.print(f"{law}, trial {len(trials)} of {budget}: cost {trial.cost:.3f}", soft_wrap=True)
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:
         if not trials:
             raise
-        cut_short = f"{type(error).__name__}: {error}"
+        cut_short = INTERRUPTED if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
     return TuningResult(law, trials[0].cost, best.cost, with_gains(first, best.gains).model_dump(), len(trials), cut_short)
 
 

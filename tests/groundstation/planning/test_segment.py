@@ -168,7 +168,7 @@ def test_a_detour_after_a_hold_keeps_to_the_instants_at_which_the_form_changes(g
 
     def apart_m(flown: PlanSegment) -> Array:
         one, other = (sample(t, begin_s + np.arange(0.0, 30.0)).eta[:, :2] for t in flown.trajectories.values())
-        return np.hypot(*(one - other).T)
+        return np.asarray(np.hypot(*(one - other).T))
 
     assert np.ptp(apart_m(held)) > 0.2
     np.testing.assert_allclose(apart_m(detour), apart_m(held), atol=0.02)
