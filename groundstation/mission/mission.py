@@ -148,7 +148,8 @@ class Mission:
         self._needs_operator = False  # an automatic mission does not go on by itself
         self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
-        self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
+        # How the last flight ended that the report judges: one with a START. None while it is under way, or before the first
+        self.verdict: MissionState | None = None
 
     @property
     def segment(self) -> PlanSegment:
@@ -766,10 +767,9 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
-        begins = cause in (CommandKind.START, MissionEvent.PREFLIGHT_PASSED)  # a LOAD or an ARM alone makes no robot fly
-        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop or a DISARM after the run has ended so
+        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop, a DISARM or a way home after that
             self.verdict = state
-        elif begins or (self.state in AT_REST and state is MissionState.HALTING):
+        elif state is MissionState.STARTING:
             self.verdict = None
         if state in TERMINAL:  # it is over: a thruster test, which leads to WAITING, begins no other run
             self._needs_operator = True

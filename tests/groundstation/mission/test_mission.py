@@ -1340,10 +1340,18 @@ def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() 
         assert run.mission.request(order, run.fleet(), run.now_ns) == ""
         run.step(1.0)
         assert run.at(leads_to) and run.mission.verdict is MissionState.DONE
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    run.robots[2].refuses = frozenset({CommandKind.ARM})
     assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
-    assert run.mission.verdict is None
+    run.step(PATIENCE_S + 1.0)
+    assert run.at(MissionState.FAILED) and run.mission.verdict is MissionState.DONE  # the report judges what was flown
+    run.robots[2].refuses = frozenset()
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(MissionState.RUNNING) and run.mission.verdict is None
     run.step(6.0)
-    assert run.at(MissionState.DONE)
+    assert run.at(MissionState.DONE) and run.mission.verdict is MissionState.DONE
     assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
 
 
