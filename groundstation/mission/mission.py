@@ -44,7 +44,15 @@ from groundstation.mission.state_machine import (
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
-from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
+from groundstation.telemetry import (
+    OUT_OF_STEP_S,
+    Fleet,
+    RobotView,
+    blind_robots,
+    first_lost_robot,
+    foreign_poses,
+    preflight,
+)
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.messages import topics
@@ -63,6 +71,7 @@ ATTENDED = "a person attends, and has to start it"  # an automatic mission, once
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 # States before anybody flies, in which the loss of a robot that was armed ends what was asked for.
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING, MissionState.TEST_ARMING})
+BEFORE_FLIGHT = frozenset({MissionState.ARMING, MissionState.REARMING})  # armed robots are sent off next, if they may fly then
 OTHER_FLIGHTS = (CommandKind.FORMATION, CommandKind.PATH)
 ASKS_TO_ARM = frozenset(
     {CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST, CommandKind.RETURN, CommandKind.REJOIN}
@@ -448,8 +457,7 @@ class Mission:
         ):  # earlier, the mode may be of the state before
             state = fleet[holding[0]].state
             return MissionEvent.ROBOT_HOLDING, f"robot {holding[0]} holds: {state.fault if state else ''}"
-        blind = self._blind(fleet) if self._experiment.mission.blind == "hold" else ""
-        if blind:
+        if blind := blind_robots(self._experiment, fleet, active):
             return MissionEvent.BLIND, blind
         if self.state is MissionState.RUNNING and segment.is_return:
             return MissionEvent.RETURN_STARTED, ""
@@ -469,11 +477,10 @@ class Mission:
             return MissionEvent.LAGGING, f"robot {worst} is {fleet[worst].error_m:.2f} m from its place"
         return (MissionEvent.CAUGHT_UP, "") if self.state is MissionState.SLOWED and not slowed else None
 
-    def _blind(self, fleet: Fleet) -> str:
-        """Robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are none."""
-        reasons = {r: state.blind for r in self.roster.active if (state := fleet[r].state) is not None and state.blind}
-        robots = f"robot{'s' if len(reasons) > 1 else ''} {', '.join(map(str, reasons))}"
-        return f"{robots} blind: {next(iter(reasons.values()))}" if reasons else ""
+    def _may_not_fly(self, fleet: Fleet) -> str:
+        """Reason for which no robot may begin to fly now, whatever it is armed for; empty if there is none."""
+        robots = self.roster.active
+        return foreign_poses(self._experiment, fleet, robots) or blind_robots(self._experiment, fleet, robots)
 
     def _handle_losses(self, fleet: Fleet, now_ns: int) -> None:
         """Apply the experiment's policy (mission.lost) to a robot that is lost. A plan from rest that counts on it is made
@@ -501,7 +508,8 @@ class Mission:
             self._needs_operator = True
         elif policy == "close-up" and not returns:
             self._run.gap = True
-            if not (self._needs_operator and self.state is MissionState.PAUSED):  # else when they may go on
+            held = self._needs_operator or self._may_not_fly(fleet)
+            if not (held and self.state is MissionState.PAUSED):  # else when they may go on
                 self._close_up(fleet, now_ns)
         elif next_state(self.state, MissionEvent.LOST_REPLAN) is not None:
             self._go(MissionEvent.LOST_REPLAN, now_ns)
@@ -543,8 +551,11 @@ class Mission:
         waiting = [r for r in self._addressed(fleet) if not self._has_confirmed(r, stage, fleet, now_ns)]
         if not waiting:
             if self.state is not self._last_state:
-                ending = self.state is MissionState.ENDING
-                self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
+                if self.state in BEFORE_FLIGHT and (why := self._may_not_fly(fleet)):
+                    self.reason = why
+                else:
+                    ending = self.state is MissionState.ENDING
+                    self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
             self._data.waiting_since_ns.clear()
             return ()
         unfit = [r for r in waiting if fleet[r].mode in UNFIT or self._lost_power(r, fleet[r], now_ns)]

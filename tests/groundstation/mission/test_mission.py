@@ -1517,6 +1517,42 @@ def test_robots_hold_while_one_cannot_tell_of_obstacles(blind: dict[int, str], r
     assert {r.mode for r in run.robots.values()} == {Mode.HOLDING}
 
 
+@pytest.mark.parametrize("trouble", ["blind", "localizer_hash"])
+def test_robots_that_may_not_fly_are_sent_off_by_no_loss_and_no_request(trouble: str) -> None:
+    """They hold for another reason than the robot that is then lost. The gap closes when a person lets them go on."""
+    run = three_running("close-up")
+    for robot in run.robots.values():
+        setattr(robot, trouble, "the light changed")
+    run.step(0.5)
+    assert run.at(MissionState.PAUSED)
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(3.0)
+    assert run.at(MissionState.PAUSED) and run.mission.roster.active == (1, 3)
+    for order, text in ((CommandKind.RESUME, ""), (CommandKind.RETURN, ""), (CommandKind.FORMATION, "line 1.0")):
+        assert "robot" in run.mission.request(order, run.fleet(), run.now_ns, text=text)
+    for robot in run.robots.values():
+        setattr(robot, trouble, "")
+    run.step(2.0)  # the mission is automatic: it goes on by itself
+    assert run.at(MissionState.HALTING)
+    assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
+
+
+@pytest.mark.parametrize("trouble", ["blind", "localizer_hash"])
+def test_robots_that_may_not_fly_any_more_wait_for_it_armed(trouble: str) -> None:
+    """All was well at the request, and while they were armed."""
+    run = MissionRun(automatic=False)
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    while not run.at(MissionState.ARMING):
+        run.step()
+    setattr(run.robots[2], trouble, "the light changed")
+    run.step(3.0)
+    assert run.at(MissionState.ARMING) and "robot 2" in run.mission.reason
+    assert {r.mode for r in run.robots.values()} == {Mode.ARMED}
+    setattr(run.robots[2], trouble, "")
+    run.step(1.0)
+    assert run.at(MissionState.RUNNING)
+
+
 @pytest.mark.parametrize(("policy", "lost"), [("warn", False), ("hold", True)])
 def test_robots_fly_on_beside_a_blind_one_that_is_lost_or_where_people_allow_it(policy: str, lost: bool) -> None:
     run = running([f'mission.blind="{policy}"', 'mission.lost="go-on"'], automatic=False)
