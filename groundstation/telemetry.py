@@ -254,6 +254,15 @@ def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -
     return ""
 
 
+def blind_robots(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
+    """Those of these robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are
+    none, or if they may fly all the same (mission.blind)."""
+    reasons = {r: state.blind for r in robots if (state := fleet[r].state) is not None and state.blind}
+    if not reasons or experiment.mission.blind != "hold":
+        return ""
+    return f"robot{'s' if len(reasons) > 1 else ''} {', '.join(map(str, reasons))} blind: {next(iter(reasons.values()))}"
+
+
 def _pose(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Findings about the robot's newest pose: old, lost, or of an unverified marker."""
     pose, limit_s = view.pose, topics.POSE.max_age_in(experiment.safety)

@@ -205,7 +205,8 @@ class Agent:
         drive_age_s = (now_ns - self._driven[1]) * 1e-9 if self._driven is not None else 0.0
         health = self._health.health(inputs, solver_failed, now_ns, drive_age_s)
         mode, reason = react(self.mode, health, self._experiment.safety)
-        if reason.partition(":")[0] in SUSPECT and self._selftest is not None and self._selftest.result == "passed":
+        in_doubt = reason.partition(":")[0] in SUSPECT or inputs.board.objection  # the latter: it may be another board
+        if in_doubt and self._selftest is not None and self._selftest.result == "passed":
             self._selftest = None
         if mode is not self.mode:
             self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))

@@ -43,7 +43,15 @@ from groundstation.mission.state_machine import (
 from groundstation.mission.timetable import START_IN_S, ProgressGovernor, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
-from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
+from groundstation.telemetry import (
+    OUT_OF_STEP_S,
+    Fleet,
+    RobotView,
+    blind_robots,
+    first_lost_robot,
+    foreign_poses,
+    preflight,
+)
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.messages import topics
@@ -62,6 +70,7 @@ ATTENDED = "a person attends, and has to start it"  # an automatic mission, once
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 # States before anybody flies, in which the loss of a robot that was armed ends what was asked for.
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING, MissionState.TEST_ARMING})
+BEFORE_FLIGHT = frozenset({MissionState.ARMING, MissionState.REARMING})  # armed robots are sent off next, if they may fly then
 OTHER_FLIGHTS = (CommandKind.FORMATION, CommandKind.PATH)
 ASKS_TO_ARM = frozenset(
     {CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST, CommandKind.RETURN, CommandKind.REJOIN}
@@ -111,7 +120,7 @@ class _RunData:
 
     ended_by: MissionEvent = MissionEvent.ALL_CONFIRMED  # event of ENDING when every robot is disarmed: how the run ended
     homeward: bool = False  # it began with RETURN, from rest
-    gap: bool = False  # a robot was lost while the operator held the others: they close up when they may go on
+    gap: bool = False  # robots are to close up where one was lost; it may have been taken out of the water since
 
 
 class Mission:
@@ -147,7 +156,8 @@ class Mission:
         self._awaits_operator = False  # a person took a hand in it, or only a person can tell how to go on
         self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
-        self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
+        # How the last flight ended that the report judges: one with a START. None while it is under way, or before the first
+        self.verdict: MissionState | None = None
 
     @property
     def segment(self) -> PlanSegment:
@@ -217,10 +227,13 @@ class Mission:
             self._prepare_return(fleet)
         if order is CommandKind.REJOIN:
             self.roster.reinstate(fit_to_rejoin(self._context(fleet)))
+            self._run.gap = self.roster.trouble
             if self._awaits_return:
                 self.plans.target_return()
             else:
                 self.plans.target_slots()
+        if order in OTHER_FLIGHTS and self.state is MissionState.PAUSED and self._has_gap:
+            self._close_slots(fleet)
         if order in OTHER_FLIGHTS and self.state in AT_REST:
             self.plans.reset()  # it begins another run, with all robots
         elif order is CommandKind.FORMATION and self.state is MissionState.PAUSED:
@@ -451,8 +464,7 @@ class Mission:
         ):  # earlier, the mode may be of the state before
             state = fleet[holding[0]].state
             return MissionEvent.ROBOT_HOLDING, f"robot {holding[0]} holds: {state.fault if state else ''}"
-        blind = self._blind(fleet) if self._experiment.mission.blind == "hold" else ""
-        if blind:
+        if blind := blind_robots(self._experiment, fleet, active):
             return MissionEvent.BLIND, blind
         if self.state is MissionState.RUNNING and segment.is_return:
             return MissionEvent.RETURN_STARTED, ""
@@ -472,11 +484,10 @@ class Mission:
             return MissionEvent.LAGGING, f"robot {worst} is {fleet[worst].error_m:.2f} m from its place"
         return (MissionEvent.CAUGHT_UP, "") if self.state is MissionState.SLOWED and not slowed else None
 
-    def _blind(self, fleet: Fleet) -> str:
-        """Robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are none."""
-        reasons = {r: state.blind for r in self.roster.active if (state := fleet[r].state) is not None and state.blind}
-        robots = f"robot{'s' if len(reasons) > 1 else ''} {', '.join(map(str, reasons))}"
-        return f"{robots} blind: {next(iter(reasons.values()))}" if reasons else ""
+    def _may_not_fly(self, fleet: Fleet) -> str:
+        """Reason for which no robot may begin to fly now, whatever it is armed for; empty if there is none."""
+        robots = self.roster.active
+        return foreign_poses(self._experiment, fleet, robots) or blind_robots(self._experiment, fleet, robots)
 
     def _handle_losses(self, fleet: Fleet, now_ns: int) -> None:
         """Apply the experiment's policy (mission.lost) to a robot that is lost. A plan from rest that counts on it is made
@@ -504,7 +515,8 @@ class Mission:
             self._awaits_operator = True
         elif policy == "close-up" and not returns:
             self._run.gap = True
-            if not (self._awaits_operator and self.state is MissionState.PAUSED):
+            held = self._awaits_operator or self._may_not_fly(fleet)
+            if not (held and self.state is MissionState.PAUSED):  # else when they may go on
                 self._close_up(fleet, now_ns)
         elif next_state(self.state, MissionEvent.LOST_REPLAN) is not None:
             self._go(MissionEvent.LOST_REPLAN, now_ns)
@@ -516,10 +528,19 @@ class Mission:
             if fleet[robot].mode is Mode.DISARMED:
                 self.roster.mark_lost(robot, "disarmed")
 
-    def _close_up(self, fleet: Fleet, now_ns: int) -> None:
-        """Close the gap of a lost robot: assign slots anew, and plan the way into them."""
+    @property
+    def _has_gap(self) -> bool:
+        """True if robots are to close up where one was lost, whatever a person asks of those that hold."""
+        closes = self._experiment.mission.lost == "close-up" and not self.segment.is_return
+        return closes and (self._run.gap or self.roster.trouble) and self.roster.has_gap
+
+    def _close_slots(self, fleet: Fleet) -> None:
         self._run.gap = False
         self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
+
+    def _close_up(self, fleet: Fleet, now_ns: int) -> None:
+        """Close the gap of a lost robot: assign slots anew, and plan the way into them."""
+        self._close_slots(fleet)
         if self._form:  # the gap closes on the way into the form that was asked for
             self.plans.target_form(self._form)
         else:
@@ -538,8 +559,11 @@ class Mission:
         waiting = [r for r in self._addressed(fleet) if not self._has_confirmed(r, stage, fleet, now_ns)]
         if not waiting:
             if self.state is not self._last_state:
-                ending = self.state is MissionState.ENDING
-                self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
+                if self.state in BEFORE_FLIGHT and (why := self._may_not_fly(fleet)):
+                    self.reason = why
+                else:
+                    ending = self.state is MissionState.ENDING
+                    self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
             self._data.waiting_since_ns.clear()
             return ()
         unfit = [r for r in waiting if fleet[r].mode in UNFIT or self._lost_power(r, fleet[r], now_ns)]
@@ -623,12 +647,15 @@ class Mission:
     def _replan_if_needed(self, fleet: Fleet, now_ns: int) -> None:
         """After RESUMING began: plan from rest where robots cannot simply go on.
 
-        The reasons: robots are to return, and have no plan yet; they are on different plans; one was carried too far off; a
-        gap is to be closed; an obstacle, a lost robot for example, lies on the path.
+        The reasons: robots are to return, and have no plan yet; a gap is to be closed; they are on different plans; one was
+        carried too far off; an obstacle, a lost robot for example, lies on the path.
         """
         if self._awaits_return:
             self.plans.target_return()
             self._go(MissionEvent.OFF_PLAN, now_ns)
+            return
+        if self._has_gap:
+            self._close_up(fleet, now_ns)
             return
         off_plan = [
             f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
@@ -638,8 +665,6 @@ class Mission:
             self.plans.target_current()
             self._go(MissionEvent.OFF_PLAN, now_ns)
             self.reason = "; ".join(off_plan)
-        elif self._run.gap and self.roster.lost and not self.segment.is_return:
-            self._close_up(fleet, now_ns)
         elif self._may_replan and self.plans.first_contact(fleet):
             self.plans.target_current()
             self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
@@ -763,9 +788,9 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
-        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop or a DISARM after the run has ended so
+        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop, a DISARM or a way home after that
             self.verdict = state
-        elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
+        elif state is MissionState.STARTING:
             self.verdict = None
         if state is MissionState.HALTING and self.state not in PLANNING and isinstance(cause, MissionEvent):
             self._still_to_arm = frozenset()  # robots flew just now: one that is disarmed is lost

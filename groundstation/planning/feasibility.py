@@ -15,6 +15,8 @@ from shoal.messages.messages import Trajectory
 
 PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: the tracking error of a well tracked robot
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
+# m/s and rad/s by which a pose may be off what its velocities say: robots refuse more (guidance/trajectory_check.py)
+DRIFT = np.array([0.02, 0.02, 0.02, 0.5])
 
 
 OutOfTime = Callable[[], bool]  # True when the caller waits no longer for a plan
@@ -96,11 +98,25 @@ def robot_problems(
             if worst is not None:
                 over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"
                 yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, eta[worst.index])}"
+        for index, what in _leaps(motion, experiment.controller.period_s):
+            yield f"robot {robot}: {what} at once {_moment(experiment, begin_s, index, motion.eta[index])}"
         for what, excess in outside(experiment, eta[:, :3]).items():
             worst = _worst(excess, 0.0)
             if worst is not None:
                 where = _moment(experiment, begin_s, worst.index, eta[worst.index])
                 yield f"robot {robot}: {worst.value:.3f} m beyond {what} {where}"
+
+
+def _leaps(motion: NodeMotion, period_s: float) -> Iterator[tuple[int, str]]:
+    """The first sample behind which a place, and a heading, moves otherwise than its velocities say, and by how much: no limit
+    of speed shows that."""
+    moved, velocity = np.diff(motion.eta, axis=0), motion.velocity
+    off = np.abs(moved - 0.5 * period_s * (velocity[1:] + velocity[:-1]))
+    leaps = off > period_s * (0.5 * np.abs(np.diff(velocity, axis=0)) + DRIFT)
+    for axes, what, unit in ((slice(3), "its place moves by", "m"), (slice(3, 4), "it turns by", "rad")):
+        index = int(np.argmax(leaps[:, axes].any(axis=1)))
+        if leaps[index, axes].any():
+            yield index, f"{what} {np.linalg.norm(moved[index, axes]):.3f} {unit}"
 
 
 def pair_problems(

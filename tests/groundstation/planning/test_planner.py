@@ -286,3 +286,21 @@ def test_robots_without_a_node_take_one_of_the_shape(tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"robots\.0\.node_m"):
         load_experiment(str(path))
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        (['path.corner="stop"', 'formation.mode="rotate"'], "robot 2: it turns by 3.142 rad at once at t = 23.00 s"),
+        (
+            ["formation.changes=[{at_s=20.01,over_s=0.02,scale=2.0}]"],
+            "robot 1: its place moves by 0.406 m at once at t = 20.00",
+        ),
+    ],
+)
+def test_a_pose_that_leaps_is_refused_though_no_velocity_shows_it(settings: list[str], reason: str) -> None:
+    """Robots refuse such a trajectory: a page must not say that it can be flown."""
+    path = '{kind="waypoints",points_m=[[-1.5,-1.5],[1.5,-1.5],[1.5,1.5]],speed_mps=0.15,depth_m=0.5,slow=true,stop=true}'
+    room = ["pool.size_m=[9,8,1.5]", NO_CAMERA, f"path={path}", "duration_s=60", "article=[]"]
+    with pytest.raises(PlanError, match=reason):
+        plan(load_experiment("pool", [*room, *settings]))

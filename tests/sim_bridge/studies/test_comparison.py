@@ -1,17 +1,19 @@
 """Comparison of control laws: variants, scattered starts, and figures equal to those of single flights."""
 
+import _thread
 import io
 import math
 import os
 import subprocess
 import tempfile
+import time
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -183,6 +185,41 @@ def test_flights_are_kept_elsewhere_where_the_disk_does_not_take_them(tmp_path: 
     (kept,) = tmp_path.glob("comparison-*/comparison.json")
     assert str(kept.parent) in str(refusal.value)
     assert [variant.name for variant in Comparison.from_json(kept.read_text()).variants] == ["nmpc"]
+
+
+class WatchedPool(ThreadPoolExecutor):
+    """An executor that knows its flights."""
+
+    flights: ClassVar[list[Future[Any]]] = []
+
+    def submit(self, *call: Any, **options: Any) -> Future[Any]:
+        self.flights.append(super().submit(*call, **options))
+        return self.flights[-1]
+
+    @classmethod
+    def interrupt(cls) -> None:
+        """Press Ctrl-C, and wait until the last flight is given up."""
+        _thread.interrupt_main()
+        while not cls.flights[-1].cancelled():
+            time.sleep(0.01)
+
+
+def test_an_interrupted_comparison_keeps_the_seeds_that_all_have_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fly_until_interrupted(task: FlightTask) -> FlightRecord:
+        if task.seed == 2:
+            WatchedPool.interrupt()
+        return fly(task)
+
+    monkeypatch.setattr(comparison, "fly", fly_until_interrupted)
+    monkeypatch.setattr(comparison, "worker_pool", WatchedPool)
+    screen = io.StringIO()
+    console = Console(file=screen, width=200)
+    assert comparison.run("numeric", ["duration_s=20.5"], ["pid", "lqr"], [1, 2], 0.0, 1, tmp_path, console) == 1
+    kept = Comparison.from_json((tmp_path / "comparison.json").read_text())
+    assert [[flight.seed for flight in variant.flights] for variant in kept.variants] == [[1], [1]]
+    assert "1 of 2 seeds were flown by all; of the others one ended so: KeyboardInterrupt" in screen.getvalue()
 
 
 @pytest.mark.parametrize("lost", [{2}, {1, 2}])
