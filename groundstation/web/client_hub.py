@@ -23,6 +23,7 @@ from groundstation.web.backend import Backend
 from groundstation.web.experiment_editor import attempt, drafted, flight_text, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
+from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.errors import ConfigError
 from shoal.messages.messages import CommandKind, DriveVelocity
 from shoal.runtime.runtime import log
@@ -347,6 +348,17 @@ class ClientHub:
             log.error("page: a request %s", reason, exc_info=error)
             return failed(reason)
 
+    async def _in_turn(self, objection: Callable[[], str], failed: Callable[[str], T], do: Callable[[], T]) -> T:
+        """Result of an order in the one thread of orders; judged again when its turn has come, for those before it may have
+        taken long."""
+
+        def judged() -> T:
+            reason = objection()
+            return failed(reason) if reason else do()
+
+        reason = objection()
+        return failed(reason) if reason else await self._at(self._orders, failed, judged)
+
     async def _follow(self, watcher: Client, kind: type[protocol.Request]) -> None:
         """Deal with the newest request of a kind, and again while newer ones come; those in between are passed over."""
         try:
@@ -360,7 +372,7 @@ class ClientHub:
         finally:
             watcher.busy.discard(kind)
 
-    def _void(self, seen_ms: int, valid_s: float = ORDER_VALID_S) -> str:
+    def _void(self, seen_ms: int, valid_s: float) -> str:
         """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
         late_s = time.monotonic() - seen_ms * 1e-3
         if late_s < -1.0:  # a page that was open when this computer started anew, and has seen nothing of this station
@@ -372,9 +384,12 @@ class ClientHub:
         if order is CommandKind.STOP:
             reason, number = await self._at(self._stops, _refused, self._source.station.request, order)
         else:
-            reason = self._may_command(watcher) or self._void(request.seen_ms)
-            if not reason:
-                reason, number = await self._at(self._orders, _refused, self._order, order, request)
+
+            def objection() -> str:
+                late = "" if order in ALWAYS_TAKEN else self._void(request.seen_ms, ORDER_VALID_S)
+                return self._may_command(watcher) or late
+
+            reason, number = await self._in_turn(objection, _refused, lambda: self._order(order, request))
         self._answer(watcher, request.n, request.order, reason, number)
 
     def _order(self, order: CommandKind, request: protocol.OrderRequest) -> tuple[str, int]:
@@ -388,18 +403,20 @@ class ClientHub:
     async def _drive(self, watcher: Client, drive: protocol.DriveRequest) -> None:
         """Tell the station a velocity. The page hears of refusals alone."""
         velocity = DriveVelocity(drive.surge_mps, drive.heave_mps, drive.yaw_rate_radps)
-        reason = self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S)
-        if not reason:
-            reason = await self._at(self._orders, str, self._source.station.drive, drive.robot, velocity)
+        reason = await self._in_turn(
+            lambda: self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S),
+            str,
+            lambda: self._source.station.drive(drive.robot, velocity),
+        )
         if reason:
             watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:
-        reason, number = self._may_command(watcher) or self._void(request.seen_ms), 0
-        if not reason:
-            reason, number = await self._at(
-                self._orders, _refused, self._source.station.request_gains, request.values, request.next_lap
-            )
+        reason, number = await self._in_turn(
+            lambda: self._may_command(watcher) or self._void(request.seen_ms, ORDER_VALID_S),
+            _refused,
+            lambda: self._source.station.request_gains(request.values, request.next_lap),
+        )
         self._answer(watcher, request.n, "tune", reason, number)
 
     def _answer(self, watcher: Client, n: int, order: str, reason: str, number: int) -> None:

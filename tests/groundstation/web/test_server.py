@@ -575,7 +575,8 @@ def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: ServedStation, mo
 
 
 def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> None:
-    """A station that hung, or a link that did: what the operator saw when he gave it is past. A stop is never too late."""
+    """A station that hung, or a link that did: what the operator saw when he gave it is past. What only takes power away is
+    never too late."""
     page = lab.open()
     page.hello()
     page.say(kind="take")
@@ -588,9 +589,34 @@ def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> No
         page.say(kind=kind, n=n, seen_ms=page.clock_ms + 100_000, **late)  # by the clock of before this computer's start
         reply = page.until(lambda f: f["k"] == "reply")
         assert not reply["ok"] and "before this computer's start" in reply["reason"]
-    page.say(kind="order", n=3, order="stop", seen_ms=0)
-    assert page.until(lambda f: f["k"] == "reply")["ok"]
-    assert lab.orders == [CommandKind.STOP]
+    for n, order in enumerate(("disarm", "stop")):
+        page.say(kind="order", n=n, order=order, seen_ms=page.clock_ms - 10_000)
+        assert page.until(lambda f: f["k"] == "reply")["ok"]
+    assert lab.orders == [CommandKind.DISARM, CommandKind.STOP]
+
+
+def test_an_order_that_waited_long_for_others_is_not_done(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One before them waits, as for a disk."""
+    release = lab.blocked = threading.Event()
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    for limit in ("ORDER_VALID_S", "DRIVE_VALID_S"):
+        monkeypatch.setattr(client_hub, limit, PATIENCE_S)
+    page.order(0, "load")
+    page.order(1, "start")
+    page.say(kind="drive", robot=1, surge_mps=0.1, heave_mps=0.0, yaw_rate_radps=0.0, seen_ms=page.clock_ms)
+    page.say(kind="tune", n=2, values=None, next_lap=False, seen_ms=page.clock_ms)
+    page.order(3, "disarm")
+    page.say(kind="try", n=4, edit={})
+    page.until(lambda f: f.get("n") == 4)  # all of them have come
+    for limit in ("ORDER_VALID_S", "DRIVE_VALID_S"):
+        monkeypatch.setattr(client_hub, limit, 0.0)
+    release.set()
+    replies = [page.until(lambda f: f["k"] == "reply") for _ in range(4)]
+    assert [(reply["n"], reply["ok"]) for reply in replies] == [(0, True), (1, False), (2, False), (3, True)]
+    assert lab.orders == [CommandKind.LOAD, CommandKind.DISARM] and lab.drives == []
 
 
 def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_ended(lab: ServedStation) -> None:
