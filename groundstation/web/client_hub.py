@@ -284,6 +284,10 @@ class ClientHub:
             except WebSocketDisconnect:
                 return
             except protocol.BadRequest as error:
+                if error.answer is not None:  # else what a person types would end the control over robots that fly
+                    self._lease.note_life(watcher.id, time.monotonic())
+                    watcher.answer(error.answer)
+                    continue
                 log.warning("page: a message that is none of ours: %s", error)
                 await websocket.close(BAD_REQUEST, str(error).encode()[:REASON_BYTES].decode(errors="ignore"))
                 return

@@ -476,6 +476,29 @@ def test_a_message_that_is_no_request_ends_its_page_with_the_reason(
     other.hello()
 
 
+@pytest.mark.parametrize(
+    ("asked", "kind"),
+    [
+        ({"kind": "try", "edit": {"pool_m": [12_000_000.0, 6.0, 1.0]}}, "tried"),
+        ({"kind": "try", "edit": {"kind": "waypoints", "laps": 10_000_000_000}}, "tried"),
+        ({"kind": "save", "edit": {"islands_m": [[0.0, 0.0, 0.1]] * 101}, "name": "mine"}, "saved"),
+        ({"kind": "after", "what": "edited", "edit": {"points_m": [[0.0, 0.0]] * 201}}, "chosen"),
+        ({"kind": "draft", "order": "path", "text": "=" * 50_000}, "drafted"),
+        ({"kind": "order", "order": "go", "via_m": [[0.0, 1e6]]}, "reply"),
+        ({"kind": "tune", "values": {"controller.mpc.q.0": 1e300}}, "reply"),
+    ],
+)
+def test_what_cannot_be_typed_is_answered_and_ends_no_control(lab: ServedStation, asked: dict[str, Any], kind: str) -> None:
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    page.say(n=7, **asked)
+    answer = page.until(lambda f: f["k"] == kind)
+    assert answer["n"] == 7 and not answer["ok"] and answer["problems"] == [answer["reason"]] and answer["reason"]
+    assert page.until(state)["holder"] != 0
+
+
 def test_a_private_key_that_others_can_read_is_refused_at_start(lab: ServedStation, tmp_path: Path) -> None:
     key_ring.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
     keys = tmp_path / "keys" / "groundstation"
