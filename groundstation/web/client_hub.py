@@ -187,6 +187,7 @@ class ClientHub:
         frame = {
             "k": "picture",
             "stamp_ms": time.time() * 1e3,
+            "clock_ms": int(time.monotonic() * 1e3),
             "camera": camera,
             "age_ms": picture.age_ms,
             "time_s": picture.time_s,

@@ -477,7 +477,7 @@ def test_a_message_that_is_no_request_ends_its_page_with_the_reason(
 
 
 @pytest.mark.parametrize(
-    ("asked", "kind"),
+    ("message", "kind"),
     [
         ({"kind": "try", "edit": {"pool_m": [12_000_000.0, 6.0, 1.0]}}, "tried"),
         ({"kind": "try", "edit": {"kind": "waypoints", "laps": 10_000_000_000}}, "tried"),
@@ -488,12 +488,14 @@ def test_a_message_that_is_no_request_ends_its_page_with_the_reason(
         ({"kind": "tune", "values": {"controller.mpc.q.0": 1e300}}, "reply"),
     ],
 )
-def test_what_cannot_be_typed_is_answered_and_ends_no_control(lab: ServedStation, asked: dict[str, Any], kind: str) -> None:
+def test_a_value_that_is_not_allowed_is_answered_and_ends_no_control(
+    lab: ServedStation, message: dict[str, Any], kind: str
+) -> None:
     page = lab.open()
     page.hello()
     page.say(kind="take")
     page.until(lambda f: state(f) and f["holder"] != 0)
-    page.say(n=7, **asked)
+    page.say(n=7, **message)
     answer = page.until(lambda f: f["k"] == kind)
     assert answer["n"] == 7 and not answer["ok"] and answer["problems"] == [answer["reason"]] and answer["reason"]
     assert page.until(state)["holder"] != 0
