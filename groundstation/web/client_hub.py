@@ -20,7 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
 from groundstation.web.backend import Backend
-from groundstation.web.experiment_editor import attempt, drafted, flight_text, save
+from groundstation.web.experiment_editor import attempt, drafted, flight_text, loadable, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
 from shoal.bus.command_deduplication import ALWAYS_TAKEN
@@ -42,6 +42,7 @@ DRIVE_VALID_S = 1.0  # the same for a velocity: a person steers by what the page
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
 FAREWELL_S = 0.2  # for pages to be sent the last state
 HEAD = struct.Struct("<If")
+NO_FILES = {"report": "", "end": None, "loadable": ()}  # of a run, where they cannot be read
 
 # WebSocket close codes of our own
 TOO_MANY, ELSEWHERE, NOT_ALLOWED, BAD_REQUEST = 4001, 4002, 4003, 4000
@@ -126,6 +127,7 @@ class ClientHub:
         self._orders = ThreadPoolExecutor(1, "page-order")  # one: what was asked for first is done first
         self._plans = ThreadPoolExecutor(2, "page-plan")
         self._runs = ThreadPoolExecutor(1, "page-runs")
+        self._files = ThreadPoolExecutor(1, "page-files")
 
     @property
     def watched(self) -> bool:
@@ -142,7 +144,7 @@ class ClientHub:
 
     def close(self) -> None:
         """Wait for nothing that is still at work."""
-        for threads in (self._stops, self._orders, self._plans, self._runs):
+        for threads in (self._stops, self._orders, self._plans, self._runs, self._files):
             threads.shutdown(wait=False, cancel_futures=True)
 
     async def pump(self) -> None:
@@ -239,19 +241,30 @@ class ClientHub:
         self._count += 1
         watcher = Client(self._count, websocket, hello.page, self._camera(hello.camera))
         events = [msgspec.Raw(body) for body in self._history]
-        scene = self._source.scene() | {"report": self._desk.shown_report, "end": self._desk.shown_end}
-        watcher.answer({"k": "hello", "you": watcher.id, "scene": scene, "events": events})
+        hello = {"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events}
         watcher.answer({"k": "past", "states": self._source.past()})
         self._replace(watcher)
         self._watchers[watcher.id] = watcher
         self._offer_now()
-        sender = asyncio.create_task(_send(websocket, watcher))
+        sender = asyncio.create_task(self._greet(websocket, watcher, hello))
         try:
             await self._listen(websocket, watcher)
         finally:
             sender.cancel()
             del self._watchers[watcher.id]
             self._lease.leave(watcher.id)
+
+    async def _greet(self, websocket: WebSocket, watcher: Client, hello: dict[str, Any]) -> None:
+        """Send a page its hello, with what the disk has for it, and then all that comes. A disk that hangs keeps no page from
+        stopping the fleet, not this one either."""
+        scene = hello["scene"] | await self._at(self._files, lambda _: NO_FILES, self._files_of_run)
+        watcher.window.greet(packed(hello | {"scene": scene}))
+        await _send(websocket, watcher)
+
+    def _files_of_run(self) -> dict[str, Any]:
+        """The part of a scene that is on the disk."""
+        experiments = loadable(self._source.experiment.robot_ids)
+        return {"report": self._desk.shown_report, "end": self._desk.shown_end, "loadable": experiments}
 
     async def _introduced(self, websocket: WebSocket) -> protocol.Hello | None:
         """The first thing that a connection says, if it is a hello and comes in time."""

@@ -41,6 +41,7 @@ from shoal.messages.messages import CommandKind, Event, Mode, Outcome, Preview, 
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, body_fits
 from tests.groundstation.fake_station import FakeStation
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.real_time
 
@@ -597,6 +598,34 @@ def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: ServedStation, mo
         assert not release.is_set()
     finally:
         release.set()
+
+
+def test_a_disk_that_hangs_as_a_page_is_opened_keeps_no_stop_waiting(
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads, release = threading.Event(), threading.Event()
+
+    def read(robots: tuple[int, ...]) -> list[str]:
+        reads.set()
+        release.wait(PATIENCE_S)
+        return ["pool"]
+
+    page, other = lab.open(), lab.open()
+    page.hello()
+    monkeypatch.setattr(client_hub, "loadable", read)
+    other.say(kind="hello", token=TOKEN)
+    try:
+        assert reads.wait(PATIENCE_S)
+        page.say(kind="order", n=1, order="stop")
+        assert page.until(lambda f: f["k"] == "reply")["ok"]
+        other.say(kind="order", n=1, order="stop")
+        assert eventually(lambda: len(lab.orders) == 2)
+        assert not release.is_set()
+    finally:
+        release.set()
+    hello = other.hear()
+    assert hello["k"] == "hello" and hello["scene"]["loadable"] == ["pool"]
+    assert other.until(lambda f: f["k"] == "reply")["ok"]
 
 
 def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> None:
