@@ -241,12 +241,12 @@ class ClientHub:
         self._count += 1
         watcher = Client(self._count, websocket, hello.page, self._camera(hello.camera))
         events = [msgspec.Raw(body) for body in self._history]
-        hello = {"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events}
+        greeting: dict[str, Any] = {"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events}
         watcher.answer({"k": "past", "states": self._source.past()})
         self._replace(watcher)
         self._watchers[watcher.id] = watcher
         self._offer_now()
-        sender = asyncio.create_task(self._greet(websocket, watcher, hello))
+        sender = asyncio.create_task(self._greet(websocket, watcher, greeting))
         try:
             await self._listen(websocket, watcher)
         finally:
@@ -254,11 +254,11 @@ class ClientHub:
             del self._watchers[watcher.id]
             self._lease.leave(watcher.id)
 
-    async def _greet(self, websocket: WebSocket, watcher: Client, hello: dict[str, Any]) -> None:
-        """Send a page its hello, with what the disk has for it, and then all that comes. A disk that hangs keeps no page from
+    async def _greet(self, websocket: WebSocket, watcher: Client, greeting: dict[str, Any]) -> None:
+        """Send a page its greeting, with what the disk has for it, and then all that comes. A disk that hangs keeps no page from
         stopping the fleet, not this one either."""
-        scene = hello["scene"] | await self._at(self._files, lambda _: NO_FILES, self._files_of_run)
-        watcher.window.greet(packed(hello | {"scene": scene}))
+        scene = greeting["scene"] | await self._at(self._files, lambda _: NO_FILES, self._files_of_run)
+        watcher.window.greet(packed(greeting | {"scene": scene}))
         await _send(websocket, watcher)
 
     def _files_of_run(self) -> dict[str, Any]:
