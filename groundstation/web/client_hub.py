@@ -255,8 +255,8 @@ class ClientHub:
             self._lease.leave(watcher.id)
 
     async def _greet(self, websocket: WebSocket, watcher: Client, greeting: dict[str, Any]) -> None:
-        """Send a page its greeting, with what the disk has for it, and then all that comes. A disk that hangs keeps no page from
-        stopping the fleet, not this one either."""
+        """Send a page its greeting, with what the disk has for it, and then all that comes. A disk that hangs keeps no page
+        from stopping the fleet, not this one either."""
         scene = greeting["scene"] | await self._at(self._files, lambda _: NO_FILES, self._files_of_run)
         watcher.window.greet(packed(greeting | {"scene": scene}))
         await _send(websocket, watcher)
