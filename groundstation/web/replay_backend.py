@@ -74,7 +74,7 @@ class LogPlayer:
             self._opened = opened.pop_all()
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns - self._log.start_ns
         self._blocks: OrderedDict[int, LogBlock] = OrderedDict()
-        self._heard = self._blocks_heard()
+        self._block_numbers = self._numbers_of_blocks()
         self._last: dict[tuple[str, int, int], Any] = {}  # by topic, robot and block: what was newest behind that block
         self.segments = self._segments()
         self.trajectories = {robot: changes[-1][1] for robot, changes in self.segments.items()}
@@ -82,7 +82,7 @@ class LogPlayer:
         self._begun = list(self._flights())
         self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
 
-    def _blocks_heard(self) -> dict[tuple[str, int], list[int]]:
+    def _numbers_of_blocks(self) -> dict[tuple[str, int], list[int]]:
         """Numbers of the blocks, ascending, with a message of a lasting topic and robot."""
         blocks: dict[tuple[str, int], list[int]] = {}
         for line in self._log.messages(lambda topic, _: topic in LASTING):
@@ -167,7 +167,7 @@ class LogPlayer:
     def newest(self, topic: Topic, kind: type[M], at_ns: int, robot: int = 0) -> tuple[int, M] | None:
         """The newest message at a time, and the instant that it is about; None if there is none, or none that can be read."""
         newest, now = self._recent(topic, kind, at_ns, robot), at_ns // BLOCK_NS
-        numbers = self._heard.get((topic.name, robot), [])
+        numbers = self._block_numbers.get((topic.name, robot), [])
         before = numbers[: bisect_left(numbers, now - LOOK_BACK + 1)][-1:]
         if newest is not None or not before:
             return newest

@@ -77,7 +77,7 @@ def test_replay_begins_where_any_robot_starts_to_fly(tmp_path: Path) -> None:
         assert replay.scene()["replay"]["begin_s"] == pytest.approx(START_S + 0.05, abs=0.01)
 
 
-def test_what_has_fallen_silent_is_shown_as_it_was_last_heard(tmp_path: Path) -> None:
+def test_a_silent_robot_is_shown_as_it_was_last_heard(tmp_path: Path) -> None:
     """However long ago: at the end of a failed run that is what people want to see."""
     write_run(tmp_path, Script(duration_s=20.0, lost=((2, 5.0, 60.0),)))
     with ReplayBackend(tmp_path) as replay:
