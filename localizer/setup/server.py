@@ -18,7 +18,7 @@ from starlette.staticfiles import StaticFiles
 
 from localizer.setup.camera_feed import CameraFeed
 from localizer.setup.session import SetupSession
-from localizer.view.local_server import LocalServer, PictureStream
+from localizer.view.local_server import LocalServer, PictureStream, page_name
 from shoal.errors import ConfigError
 from shoal.runtime.runtime import SLICE_S, Stop
 from shoal.runtime.web_access import WebOptions, token_allowed
@@ -72,10 +72,10 @@ class SetupServer:
     def _state(self, request: Request) -> Response:
         if not self._allowed(request):
             return _refused()
-        now_s = time.monotonic()
-        self._pages[request.query_params.get("page", "")[:40]] = now_s
+        now_s, page = time.monotonic(), page_name(request)
+        self._pages[page] = now_s
         self._pages = {page: at_s for page, at_s in self._pages.items() if now_s - at_s < _PAGE_GONE_S}
-        return JSONResponse(self._session.state(len(self._pages)))
+        return JSONResponse(self._session.state(len(self._pages)) | {"streams": self._stream.has_viewer(page)})
 
     async def _do(self, request: Request) -> Response:
         """Do what the page asks for, in a thread. The reply holds a problem or what was found."""

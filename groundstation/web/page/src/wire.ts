@@ -256,7 +256,7 @@ export type Frame =
   | { k: "hello"; you: number; scene: Scene; events: LogLine[] }
   | Snapshot
   | { k: "past"; states: PastState[] }
-  | { k: "picture"; stamp_ms: number; camera: string; age_ms: number; time_s: number | null; jpeg: Uint8Array<ArrayBuffer> }
+  | { k: "picture"; stamp_ms: number; clock_ms: number; camera: string; age_ms: number; time_s: number | null; jpeg: Uint8Array<ArrayBuffer> }
   | { k: "paths"; paths: PathSamples[] }
   | ({ k: "event" } & LogLine)
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }

@@ -6,7 +6,7 @@ import { ChosenPlaces } from "./ChosenPlaces";
 import { choosePlaces, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
 import { numbers, robotNames, together } from "../robot/names";
-import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
+import { connected, ended, type Given as Request, given, inControl, isOut, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
 interface Button {
@@ -45,7 +45,7 @@ function whyNot(state: Snapshot, button: Button): string {
 }
 
 function Preflight({ state }: { state: Snapshot }) {
-  const robots = scene.value?.robots ?? [];
+  const robots = (scene.value?.robots ?? []).filter(({ id }) => !isOut(state, id));
   const needed = ["WAITING", "LOADING", "ARMING", ...OVER].includes(state.mission);
   if (!needed) return null;
   const reasons = new Map<number, string[]>();
@@ -127,12 +127,13 @@ function Unheard() {
 function Confirmations({ state }: { state: Snapshot }) {
   now.value; // who is no longer heard confirms nothing
   const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.sentMs);
-  const waiting = state.robots.filter((robot) => !stopped(robot));
+  const robots = state.robots.filter((robot) => !isOut(state, robot.id) || !isStale(robot, live.sentMs));
+  const waiting = robots.filter((robot) => !stopped(robot));
   return (
     <div class="stopped" role="alert">
       <h3>Emergency stop</h3>
       <ul>
-        {[...waiting, ...state.robots.filter(stopped)].map((robot) => {
+        {[...waiting, ...robots.filter(stopped)].map((robot) => {
           const done = stopped(robot);
           const once = robot.state?.mode === "STOPPED";
           return (

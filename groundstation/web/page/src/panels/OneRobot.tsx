@@ -7,7 +7,7 @@ import { Motion } from "./Tiles";
 import { ChosenPlaces } from "./ChosenPlaces";
 import { choosePlaces, places, placesFor } from "../pool/places";
 import { driven, hold, letGo, pace, startDriving, stopDriving } from "../robot/drive";
-import { also, connected, inControl, scene, selected, shown, undriven } from "../store";
+import { also, connected, inControl, isOut, scene, selected, shown, undriven } from "../store";
 import type { OrderName, Snapshot } from "../wire";
 
 const FLIES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
@@ -109,7 +109,7 @@ export function OneRobot() {
   const flies = possible && FLIES.includes(mode);
   const led = state.led.find((found) => found.robot === robot.id);
   const drives = driven.value === robot.id;
-  const out = state.alarms.some(({ key }) => key === `${robot.id}:out`);
+  const out = isOut(state, robot.id);
   return (
     <section class="one-robot" aria-label={`Robot ${robot.id} alone`}>
       <h2>Robot {robot.id} alone</h2>
