@@ -26,6 +26,8 @@ ACTS = {  # the station's lines for what a person does to end a flight (groundst
     "interrupted: Ctrl-C in the terminal": "interrupted the program (Ctrl-C)",
 }
 OVER = ("mission: aborting", "mission: failed")  # the station's lines for the end of a mission that failed
+TERMINATED = "interrupted: by another program, or its terminal was closed"  # the station's line when it is told to end
+FLIES_ON = "mission: running"  # begins the station's lines for a flight that goes on: nothing has ended with such a reason
 STANDING = frozenset(mode.name.lower() for mode in Mode if mode is not Mode.TRACKING)  # modes in which a robot does not go on
 BEFORE_S = 0.2  # a fault may be noticed in the cycle before its injection is told
 WAKES_S = 1.0  # a process that has stood still notices so long after what happened meanwhile
@@ -191,12 +193,16 @@ def _flown(series: Series) -> str:
 
 
 def _ended_by(series: Series) -> TimelineEvent | None:
-    """The station's word for the end of a flight that did not go all the way, if it gave a reason."""
+    """The station's word for the end of a flight that did not go all the way, if it gave a reason: that the program was told
+    to end, or the first of the reasons since the flight last went on."""
     if not series.started or went_all_the_way(series):
         return None
-    reasons = (e for e in series.timeline_events if e.source == "groundstation" and e.text.startswith("mission: "))
-    of_flight = (e for e in reasons if 0.0 < e.time_s <= series.ended_s)
-    return next((e for e in of_flight if ": " in e.text.removeprefix("mission: ")), None)
+    said = [e for e in series.timeline_events if e.source == "groundstation" and 0.0 < e.time_s <= series.ended_s]
+    told = next((e for e in said if e.text == TERMINATED), None)
+    flew = [k for k, e in enumerate(said) if e.text.startswith(FLIES_ON)]
+    since = said[flew[-1] + 1 :] if flew else said
+    reasons = (e for e in since if e.text.startswith("mission: ") and ": " in e.text.removeprefix("mission: "))
+    return told or next(reasons, None)
 
 
 def _excess(check: Check) -> float:
