@@ -384,6 +384,7 @@ class Station:
             tuning=self.tuner.status(),
             laps=self.core.laps.laps(),
             preflight=blocking_findings(self.experiment, self.views, mission.plans.starts),
+            refused=mission.refusals(self.views) if self.views else {},
             views=self.views,
             requests=self.requests.recent,
             ended=self.ended,
