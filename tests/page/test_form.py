@@ -171,6 +171,11 @@ def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, 
     panel.get_by_role("button", name="Hold these 2").click()
     expect(page.locator(".given li")).to_have_count(2)
     assert desk.orders == [CommandKind.HOLD, CommandKind.HOLD] and sorted(desk.robots_asked) == sorted([one, two])
+    for robot in experiment.robot_ids[2:]:
+        tile(page, robot).get_by_role("button").click(modifiers=["Shift"])
+    page.get_by_role("button", name="Disarm these").click()  # one by one the last would be refused, and fly on
+    expect(page.locator(".given li")).to_have_count(3)
+    assert (desk.orders[-1], desk.robots_asked[-1]) == (CommandKind.DISARM, 0)
 
 
 def test_time_is_that_of_the_flight_and_negative_before_it(desk: LoneStation) -> None:
