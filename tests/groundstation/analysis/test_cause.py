@@ -125,6 +125,15 @@ def test_what_a_flight_went_on_with_is_not_the_cause_of_its_end(
     assert text is None or result.cause.text == text
 
 
+def test_of_a_flight_that_came_to_its_end_without_a_robot_the_cause_is_who_led_it_and_not_who_ended_the_run_then(
+    tmp_path: Path,
+) -> None:
+    lines = ((2.0, LED), (6.0, "mission: done"), (7.0, "END asked for"))
+    result = judged(tmp_path, Script(duration_s=FLOWN_S, lines=lines, until_s=7.5))
+    assert result.cause is not None and result.verdict == "not judged"
+    assert result.cause.sentence.startswith("A person led robot 2 alone at 2.0 s")
+
+
 def test_faults_after_a_stop_are_not_its_cause(tmp_path: Path) -> None:
     script = holds(5.5)
     script.lines, script.until_s = ((5.0, "STOP asked for"),), 6.0
