@@ -137,8 +137,8 @@ def _place(event: TimelineEvent, series: Series) -> str:
 
 
 def _persons_act(series: Series) -> TimelineEvent | None:
-    """The first request of a person that ended the flight; of one that came to its end, that by which a robot left it. None for
-    a flight that went all its way."""
+    """The first request of a person that ended the flight; of one that came to its end, that by which a robot left it. None
+    for a flight that went all its way."""
     if series.started and went_all_the_way(series):
         return None
     begin_s, until_s = (0.0, series.ended_s) if series.started else (-math.inf, math.inf)
