@@ -21,6 +21,7 @@ from groundstation.mission.objections import (
     fit_to_rejoin,
     mode_name,
     objection,
+    standing_objection,
     unfit_to_return,
 )
 from groundstation.mission.obstacle_monitor import ObstacleSet
@@ -72,6 +73,8 @@ UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING, MissionState.TEST_ARMING})
 BEFORE_FLIGHT = frozenset({MissionState.ARMING, MissionState.REARMING})  # armed robots are sent off next, if they may fly then
 OTHER_FLIGHTS = (CommandKind.FORMATION, CommandKind.PATH)
+# Requests whose refusal people see before they ask. Not those that make robots safe: they are asked for at any time.
+TOLD_BEFORE = (CommandKind.RESUME, CommandKind.RETURN, CommandKind.REJOIN, CommandKind.GO, *OTHER_FLIGHTS)
 ASKS_TO_ARM = frozenset(
     {CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST, CommandKind.RETURN, CommandKind.REJOIN}
 )
@@ -273,6 +276,15 @@ class Mission:
     def objection(self, order: CommandKind, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
         return objection(order, self.request_context(order, fleet, via, text))
+
+    def refusals(self, fleet: Fleet) -> dict[CommandKind, str]:
+        """Reasons for which requests would be refused now, whatever their details, by request that the state allows."""
+        reasons = {
+            order: standing_objection(order, self.request_context(order, fleet))
+            for order in TOLD_BEFORE
+            if not rejection_reason(order, self.state)
+        }
+        return {order: reason for order, reason in reasons.items() if reason}
 
     def request_context(
         self, order: CommandKind, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = ""

@@ -355,7 +355,7 @@ class Station:
     def disarm(self) -> None:
         """Disarm every robot: the station is about to leave. No person has asked for it, so no request is logged."""
         with self.lock:
-            self.core.request(CommandKind.END, self.fleet(), self.clock.now_ns())
+            self.core.leave(self.fleet(), self.clock.now_ns())
 
     def has_power(self) -> bool:
         """True while a robot that is heard may put out thrust."""
@@ -393,6 +393,7 @@ class Station:
             tuning=self.tuner.status(),
             laps=self.core.laps.laps(),
             preflight=blocking_findings(self.experiment, self.views, mission.plans.starts),
+            refused=mission.refusals(self.views) if self.views else {},
             views=self.views,
             requests=self.requests.recent,
             ended=self.ended,

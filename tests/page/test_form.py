@@ -75,6 +75,16 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     assert desk.orders == [CommandKind.FORMATION] and desk.text == "line 1.1"
 
 
+def test_what_the_station_would_refuse_is_not_offered_and_says_why(desk: LoneStation) -> None:
+    page, why = desk.page, "the path is a circle: it cannot be left for other places under way"
+    expect(button(page, "Go to…")).to_be_enabled()
+    desk.own_status = Status(state=MissionState.RUNNING, refused={CommandKind.GO: why, CommandKind.REJOIN: "no robot is out"})
+    for name, reason in (("Go to…", why), ("Rejoin", "no robot is out")):
+        expect(button(page, name)).to_be_disabled()
+        expect(button(page, name)).to_have_attribute("title", reason)
+    expect(button(page, "Formation…")).to_be_enabled()
+
+
 def test_a_hold_makes_the_plan_another_one(desk: LoneStation, experiment: Experiment) -> None:
     def plan(order: CommandKind, text: str) -> PlanSegment:
         if desk.own_status.state is MissionState.PAUSED:
@@ -161,6 +171,11 @@ def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, 
     panel.get_by_role("button", name="Hold these 2").click()
     expect(page.locator(".given li")).to_have_count(2)
     assert desk.orders == [CommandKind.HOLD, CommandKind.HOLD] and sorted(desk.robots_asked) == sorted([one, two])
+    for robot in experiment.robot_ids[2:]:
+        tile(page, robot).get_by_role("button").click(modifiers=["Shift"])
+    page.get_by_role("button", name="Disarm these").click()  # one by one the last would be refused, and fly on
+    expect(page.locator(".given li")).to_have_count(3)
+    assert (desk.orders[-1], desk.robots_asked[-1]) == (CommandKind.DISARM, 0)
 
 
 def test_time_is_that_of_the_flight_and_negative_before_it(desk: LoneStation) -> None:
@@ -189,6 +204,34 @@ def test_no_order_changes_its_place_when_others_become_possible(desk: LoneStatio
     expect(button(desk.page, "Resume")).to_be_enabled()
     paused = places()
     assert np.all([running == paused, None not in running])
+
+
+@pytest.mark.parametrize("scrolled", [False, True], ids=["at the top", "at the end"])
+def test_no_button_moves_under_the_pointer(desk: LoneStation, experiment: Experiment, scrolled: bool) -> None:
+    page, robot = desk.page, experiment.robot_ids[0]
+    desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), desk.clock.now_ns(), robot)
+    tile(page, robot).get_by_role("button").click()
+    page.set_viewport_size({"width": 1440, "height": 700})
+    page.wait_for_timeout(500)  # what the click brought is drawn
+    if scrolled:
+        page.locator("aside").evaluate("panels => (panels.scrollTop = panels.scrollHeight)")
+    under = page.locator("summary", has_text="Keys") if scrolled else button(page, f"Hold {robot}")
+    under.hover()
+    before = under.bounding_box()
+    alarms = page.locator(".alarms li")
+    count = alarms.count()
+    desk.own_status = Status(state=MissionState.PAUSED, reason="no way round it", lasting={"a": "one", "b": "another"})
+    expect(alarms).to_have_count(count + 2)
+    expect(page.get_by_text("no way round it")).to_be_visible()
+    assert under.bounding_box() == before
+    desk.own_status = Status(state=MissionState.RUNNING)
+    expect(alarms).to_have_count(count)
+    assert under.bounding_box() == before
+    page.mouse.move(300.0, 300.0)
+    desk.own_status = Status(state=MissionState.PAUSED, lasting={"a": "one", "b": "another"})
+    expect(alarms).to_have_count(count + 2)
+    if not scrolled:
+        assert under.bounding_box() != before, "nothing is held for a hand that is elsewhere"
 
 
 def test_the_simulation_is_broken_by_a_button_and_real_robots_have_none(browser: Browser, experiment: Experiment) -> None:

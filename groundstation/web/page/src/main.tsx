@@ -1,6 +1,7 @@
 /** The operator's page. */
 
 import { render } from "preact";
+import { useEffect, useRef } from "preact/hooks";
 import { startTheme } from "./colours";
 import { Editor } from "./editor/Editor";
 import "./keys";
@@ -19,10 +20,13 @@ import { Runs } from "./panels/Runs";
 import { Tiles } from "./panels/Tiles";
 import { Tuning } from "./panels/Tuning";
 import { Pool } from "./pool/Pool";
+import { keepStill } from "./still";
 import { connected, editing, ended, scene } from "./store";
 import "./style.css";
 
 function Page() {
+  const panels = useRef<HTMLDivElement>(null);
+  useEffect(() => keepStill(panels.current!.parentElement!, panels.current!), []);
   return (
     <div class={connected.value || scene.value === null || ended.value ? "page" : "page lost"}>
       <Header />
@@ -34,25 +38,27 @@ function Page() {
             <Alarms />
             <Stopped />
           </div>
-          <End />
-          <Mission />
-          {editing.value && <Editor />}
-          <OneRobot />
-          <Faults />
-          <Tiles />
-          <Tuning />
-          <Log />
-          <details class="keys">
-            <summary>Keys</summary>
-            <dl>
-              {KEYS.map(([keys, what]) => (
-                <div key={keys}>
-                  <dt>{keys}</dt>
-                  <dd>{what}</dd>
-                </div>
-              ))}
-            </dl>
-          </details>
+          <div class="panels" ref={panels}>
+            <End />
+            <Mission />
+            {editing.value && <Editor />}
+            <OneRobot />
+            <Faults />
+            <Tiles />
+            <Tuning />
+            <Log />
+            <details class="keys">
+              <summary>Keys</summary>
+              <dl>
+                {KEYS.map(([keys, what]) => (
+                  <div key={keys}>
+                    <dt>{keys}</dt>
+                    <dd>{what}</dd>
+                  </div>
+                ))}
+              </dl>
+            </details>
+          </div>
         </aside>
         <Runs />
         <Replay />

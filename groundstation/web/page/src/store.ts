@@ -2,7 +2,7 @@
 
 import { computed, signal } from "@preact/signals";
 import type { RobotState } from "./messages";
-import type { Alarm, Drafted, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RunList, Scene, Snapshot, Tried } from "./wire";
+import type { Alarm, Drafted, Frame, LogLine, OrderName, Outcome, PastState, PathSamples, RobotNews, RunList, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
 const MOST_LINES = 500;
@@ -99,6 +99,11 @@ export const stopUnheard = computed(() => {
   const stop = given.value.find((g) => g.order === "stop" && !g.heard);
   return stop !== undefined && unanswered(stop);
 });
+
+/** Whether the station would take a request for the whole fleet now, as far as that can be known before. */
+export function takes(state: Snapshot, order: OrderName): boolean {
+  return state.allowed.includes(order) && state.refused?.[order] === undefined;
+}
 
 /** Whether a request should have been answered by now. */
 export function unanswered(g: Given): boolean {

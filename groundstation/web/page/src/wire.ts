@@ -174,6 +174,7 @@ export interface Snapshot {
   mission_text: string;
   reason: string;
   allowed: OrderName[];
+  refused?: Partial<Record<OrderName, string>>; // of those: the reason for which it would be refused now
   preflight: { robot: number; text: string }[];
   stop: boolean;
   alarms: Alarm[];

@@ -6,7 +6,7 @@ import { ChosenPlaces } from "./ChosenPlaces";
 import { choosePlaces, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
 import { numbers, robotNames, together } from "../robot/names";
-import { connected, ended, type Given as Request, given, inControl, isOut, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
+import { connected, ended, type Given as Request, given, inControl, isOut, isStale, live, now, scene, shown, stopUnheard, takes, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
 interface Button {
@@ -40,6 +40,8 @@ function whyNot(state: Snapshot, button: Button): string {
   if (!connected.value) return "no connection to the station";
   if (!inControl.value) return "you are watching: take control first";
   if (!state.allowed.includes(button.order) || idle(button.order, state)) return `not possible while ${state.mission_text}`;
+  const refused = state.refused?.[button.order];
+  if (refused !== undefined) return refused;
   if (button.checked && state.preflight.length > 0) return "preflight is not complete";
   return "";
 }
@@ -235,7 +237,7 @@ function OrderButton({ button, state }: { button: Button; state: Snapshot }) {
 /** Leads the running formation to places that are clicked on the map, or typed. */
 function GoButton({ state }: { state: Snapshot }) {
   const open = places.value !== null && placesFor.value === 0;
-  const possible = connected.value && inControl.value && state.allowed.includes("go");
+  const possible = connected.value && inControl.value && takes(state, "go");
   return (
     <button
       type="button"
@@ -243,7 +245,7 @@ function GoButton({ state }: { state: Snapshot }) {
       aria-pressed={open}
       disabled={!possible && !open}
       onClick={() => choosePlaces(!open)}
-      title={possible ? "Choose places for the formation to fly over" : "not possible now"}
+      title={possible ? "Choose places for the formation to fly over" : state.refused?.go || "not possible now"}
     >
       Go to…
     </button>
@@ -252,7 +254,7 @@ function GoButton({ state }: { state: Snapshot }) {
 
 function Go({ state }: { state: Snapshot }) {
   const chosen = placesFor.value === 0 ? places.value : null;
-  const possible = connected.value && inControl.value && state.allowed.includes("go");
+  const possible = connected.value && inControl.value && takes(state, "go");
   if (chosen === null) return null;
   const hint = chosen.length === 0 ? "Click on the map, or type: one place or more." : chosen.map(([x, y]) => `${x}, ${y} m`).join(" → ");
   return <ChosenPlaces hint={hint} text="Fly there" possible={possible} />;
