@@ -37,6 +37,10 @@ class LatestItemWorker(Generic[T]):
         """Work on this item next. Never waits."""
         self._newest.put(item)
 
+    def work(self, item: T) -> None:
+        """Work on this item now, in the caller's thread: for callers that offer nothing."""
+        self._try(item)
+
     def close(self) -> None:
         """Finish the item under way, and end the thread."""
         self._closing.set()

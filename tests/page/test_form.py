@@ -234,6 +234,18 @@ def test_no_button_moves_under_the_pointer(desk: LoneStation, experiment: Experi
         assert under.bounding_box() != before, "nothing is held for a hand that is elsewhere"
 
 
+def test_each_thruster_of_a_vehicle_can_be_broken(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool", ["vehicle='vectored'"])) as desk:
+        desk.bus.watch_presence()
+        desk.robots.announce("sim-bridge")
+        desk.page.goto(desk.url)
+        desk.page.get_by_text("Break something").click()
+        desk.page.get_by_label("Which thruster breaks").select_option("8")
+        button(desk.page, "Weaken thruster 1").click()
+        expect(desk.page.locator(".given")).to_contain_text("sent")
+        assert desk.text == "thruster 1/8 weak 0.5"
+
+
 def test_the_simulation_is_broken_by_a_button_and_real_robots_have_none(browser: Browser, experiment: Experiment) -> None:
     with lone_station(browser, experiment) as desk:
         page = desk.page

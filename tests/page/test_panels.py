@@ -208,6 +208,22 @@ def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp
         assert desk.orders == []
 
 
+@pytest.mark.parametrize("width", [840, 1024, 1280, 1440])
+def test_titles_and_units_of_plots_are_whole_in_a_window_of_any_width(browser: Browser, width: int) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        desk.page.set_viewport_size({"width": width, "height": 768})
+        desk.page.goto(desk.url)
+        desk.page.get_by_label("What plot 1 shows").select_option("disturbance")  # the longest
+        expect(desk.page.locator(".plot .unit").first).to_have_text("mm/s², mrad/s²")
+        for caption in desk.page.locator(".plot figcaption").all():
+            assert caption.evaluate("all => [...all.children].every(one => one.scrollWidth <= one.clientWidth + 1)")
+        edges = (
+            "all => all.map(one => [one.getBoundingClientRect().right, one.closest('.canvas').getBoundingClientRect().right])"
+        )
+        for curve, plot in desk.page.locator(".plot .u-series").evaluate_all(edges):
+            assert curve <= plot
+
+
 def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as desk:
         page = desk.page

@@ -74,6 +74,7 @@ export interface Scene {
     battery_v: [number, number, number, number]; // neutral, no arming, warning, full
   };
   thrusters: [number, number, number, number][]; // by output: place ahead, to starboard, m; direction of positive thrust
+  outputs: number[]; // of the board, from 1, that have a thruster
   islands: [number, number, number][]; // x, y, radius
   robots: { id: number; node_m: [number, number, number]; neighbours: number[] }[];
   path: CirclePath | WaypointPath | RoutePath;
