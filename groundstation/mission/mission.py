@@ -41,7 +41,7 @@ from groundstation.mission.state_machine import (
     next_state,
     rejection_reason,
 )
-from groundstation.mission.timetable import START_IN_S, ProgressGovernor, Timetable
+from groundstation.mission.timetable import START_IN_S, ProgressGovernor, Timetable, turn_s
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import (
@@ -54,7 +54,7 @@ from groundstation.telemetry import (
     preflight,
 )
 from shoal.config.experiment import Experiment
-from shoal.frames import Array
+from shoal.frames import Array, wrap
 from shoal.messages import topics
 from shoal.messages.messages import Command, CommandKind, Mode, RobotState
 
@@ -352,7 +352,7 @@ class Mission:
             self.reason = foreign
         if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active and not self._awaits_return:
             self._check_flight(fleet, now_ns)
-        self._govern(fleet, elapsed_s)
+        self._govern(fleet, elapsed_s, now_ns)
         return self._commands(fleet, now_ns) + self._command_others(fleet, now_ns)
 
     def _commands(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
@@ -559,8 +559,8 @@ class Mission:
             self.plans.target_slots()
         self._go(MissionEvent.LOST_CLOSE_UP, now_ns)
 
-    def _govern(self, fleet: Fleet, elapsed_s: float) -> None:
-        flies = self.state in IN_FLIGHT
+    def _govern(self, fleet: Fleet, elapsed_s: float, now_ns: int) -> None:
+        flies = self.state in IN_FLIGHT and self._timetable is not None and now_ns >= self._timetable.start_ns
         worst_m = max((fleet[r].error_m for r in self.roster.active), default=0.0)
         self.governor.step(worst_m if flies else None, elapsed_s)
 
@@ -680,6 +680,24 @@ class Mission:
         elif self._may_replan and self.plans.first_contact(fleet):
             self.plans.target_current()
             self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
+        else:
+            self._go_on_from_rest(fleet, now_ns)
+
+    def _go_on_from_rest(self, fleet: Fleet, now_ns: int) -> None:
+        """Set the timetable of RESUMING: robots go on where their trajectories come nearest to where they rest, beyond the
+        progress, and when all have had the time to turn there: in HOLD the heading is free."""
+        plans, vehicle, period_s = self.plans, self._experiment.vehicle, self._experiment.controller.period_s
+        left_s = min(self.segment.end_s - plans.progress_s, REST_WITHIN_S)  # by then they had come to rest
+        ahead_s = plans.progress_s + period_s * np.arange(max(round(left_s / period_s), 1), dtype=np.float64)
+        paths = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
+        if not paths:
+            return
+        away_m = np.max([np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in paths.items()], axis=0)
+        nearest = int(np.argmin(np.append(np.diff(away_m) < 0.0, False)))
+        turns_rad = [wrap(eta.item(nearest, 3) - fleet[r].eta.item(3)) for r, eta in paths.items()]
+        starts_in_s = START_IN_S + max(turn_s(vehicle, turn_rad) for turn_rad in turns_rad)
+        plans.progress_s = float(ahead_s[nearest])
+        self._timetable = Timetable(now_ns + round(starts_in_s * 1e9), plans.progress_s + self.governor.lag_s)
 
     def _carried_off(self, fleet: Fleet) -> Iterator[tuple[int, float]]:
         """Robots that are further than safety.join_within_m from their trajectories, and their distance in m."""

@@ -5,10 +5,12 @@ can compare their states with its own timetable. The progress governor is format
 clock slows down while a robot lags.
 """
 
+import math
 from dataclasses import dataclass
 
 from groundstation.telemetry import RobotView
 from shoal.config.mission import MissionConfig
+from shoal.config.vehicle import Vehicle
 from shoal.messages.messages import Mode
 
 START_IN_S = (
@@ -71,6 +73,15 @@ class ProgressGovernor:
             return 1.0
         share = min((error_m - begin) / (self._conduct.wait_at_m - begin), 1.0)
         return 1.0 - share * (1.0 - self._conduct.slowest)
+
+
+def turn_s(vehicle: Vehicle, angle_rad: float) -> float:
+    """Time for a turn on the spot before a robot sets out: half of it with all of the yaw moment, half against it, and at the
+    greatest rate. A vehicle with side thrust sets out at any heading."""
+    if vehicle.limits.has_sway:
+        return 0.0
+    limits, angle = vehicle.limits, abs(angle_rad)
+    return 2.0 * math.sqrt(angle * vehicle.mass.yaw_kg_m2 / limits.wrench[2]) + angle / limits.yaw_rate_radps
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ class PathWatch:
         if not self._row:
             return ""
         response = self.response
-        if self._responds and (response.stands_still or response.standstill.pushed_m > response.standstill.room_m):
+        if self._responds and (response.stands_still or response.place.pushed > response.place.room):
             return "it does not move: it may be held fast, or its thrusters do not push"
         if self._responds and response.turn_evidence > LEANING:
             turned = abs(math.degrees(cmath.phase(response.response.gain)))
