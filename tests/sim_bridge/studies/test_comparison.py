@@ -1,19 +1,17 @@
 """Comparison of control laws: variants, scattered starts, and figures equal to those of single flights."""
 
-import _thread
 import io
 import math
 import os
 import subprocess
 import tempfile
-import time
 import tomllib
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,6 +29,7 @@ from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.flights.scene_flights import flown_once
 from tests.forked import ended
 from tests.planted import executed, installed, plant
+from tests.sim_bridge.studies.interrupted_flights import WatchedPool
 
 pytestmark = pytest.mark.long
 
@@ -185,23 +184,6 @@ def test_flights_are_kept_elsewhere_where_the_disk_does_not_take_them(tmp_path: 
     (kept,) = tmp_path.glob("comparison-*/comparison.json")
     assert str(kept.parent) in str(refusal.value)
     assert [variant.name for variant in Comparison.from_json(kept.read_text()).variants] == ["nmpc"]
-
-
-class WatchedPool(ThreadPoolExecutor):
-    """An executor that knows its flights."""
-
-    flights: ClassVar[list[Future[Any]]] = []
-
-    def submit(self, *call: Any, **options: Any) -> Future[Any]:
-        self.flights.append(super().submit(*call, **options))
-        return self.flights[-1]
-
-    @classmethod
-    def interrupt(cls) -> None:
-        """Press Ctrl-C, and wait until the last flight is given up."""
-        _thread.interrupt_main()
-        while not cls.flights[-1].cancelled():
-            time.sleep(0.01)
 
 
 def test_an_interrupted_comparison_keeps_the_seeds_that_all_have_flown(

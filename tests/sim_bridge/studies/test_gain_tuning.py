@@ -1,13 +1,11 @@
 """Tuning as a command: gains come back as a section of an experiment file that can be flown."""
 
-import _thread
 import dataclasses
-import time
 import tomllib
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, ClassVar, get_args
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from sim_bridge.__main__ import cli
 from sim_bridge.studies import gain_tuning
 from sim_bridge.studies.comparison import FlightTask
 from sim_bridge.studies.gain_tuning import WEAR, TuningResult, cost, search, values, with_gains
+from tests.sim_bridge.studies.interrupted_flights import WatchedPool
 
 FEEDBACK = [law.replace("-", "_") for law in get_args(LawName) if law not in ("eso-mpc-article", "nmpc")]
 CONTROLLER = load_experiment("pool").controller
@@ -142,23 +141,6 @@ def test_a_worker_that_dies_takes_no_gains_with_it_that_were_found(flown: int, m
     best = tomllib.loads(pid)["controller"]["pid"]["guidance_per_s2"]
     assert best in {guidance for _, guidance in tried} and tomllib.loads(f"[lqr]{lqr}")["lqr"]
     assert "of 12 trials" in done.stderr and "terminated abruptly" in done.stderr
-
-
-class WatchedPool(ThreadPoolExecutor):
-    """An executor that knows its flights."""
-
-    flights: ClassVar[list[Future[Any]]] = []
-
-    def submit(self, *call: Any, **options: Any) -> Future[Any]:
-        self.flights.append(super().submit(*call, **options))
-        return self.flights[-1]
-
-    @classmethod
-    def interrupt(cls) -> None:
-        """Press Ctrl-C, and wait until the last flight is given up."""
-        _thread.interrupt_main()
-        while not cls.flights[-1].cancelled():
-            time.sleep(0.01)
 
 
 def test_an_interrupted_search_prints_its_best_gains_and_goes_on_with_no_other_law(monkeypatch: pytest.MonkeyPatch) -> None:
