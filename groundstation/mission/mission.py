@@ -7,7 +7,7 @@ the next plan segment, timetable.py the instant at which the flight began. Plann
 that the mission waits for, `planned` takes its outcome.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -381,9 +381,14 @@ class Mission:
         if self.state is MissionState.STOPPED:  # every robot is sent STOP
             return ()
         disarm = self._send(CommandKind.DISARM, [r for r in sorted(self.roster.out) if fleet[r].mode in LIVE], now_ns)
-        others = self.roster.all_robots if self.state in AT_REST else self.roster.lost if self.state in COMMITTED else ()
-        left = self.roster.led_by_people | self.roster.out
-        return disarm + self._send(CommandKind.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in left], now_ns)
+        others: Iterable[int] = ()
+        if self.state in AT_REST:
+            others = self.roster.all_robots
+        elif self.state in COMMITTED:
+            others = self.roster.lost
+        left_alone = self.roster.led_by_people | self.roster.out
+        moving = [r for r in others if fleet[r].mode in MOVING and r not in left_alone]
+        return disarm + self._send(CommandKind.HOLD, moving, now_ns)
 
     def _wait(self, fleet: Fleet, now_ns: int) -> None:
         """Wait for START. In automatic mode begin by itself once preflight passes and nothing moves."""

@@ -370,10 +370,13 @@ class SingleRobotControl:
 
     def planned(self, outcome: PlanSegment | PlanError, fleet: Fleet, now_ns: int) -> None:
         """Take the outcome of the requested plan."""
-        planned_for, self.plan_request, self._planned_for = self._planned_for, None, None
-        if planned_for is None or self._under_way(planned_for[0]) is not planned_for[1]:
+        planned_for = self._planned_for
+        self.plan_request = self._planned_for = None
+        if planned_for is None:
             return
         robot, task = planned_for
+        if self._under_way(robot) is not task:  # another request has taken its place
+            return
         if isinstance(outcome, PlanSegment):
             alone = {robot: named_alone(trajectory) for robot, trajectory in outcome.trajectories.items()}
             task.transfer, task.since_ns = replace(outcome, trajectories=alone), now_ns

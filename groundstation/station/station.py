@@ -91,6 +91,13 @@ def workers(robots: int) -> Iterator[Workers]:
             closing.set()
 
 
+class PublishedPaths(NamedTuple):
+    """Paths as they were published last."""
+
+    segment: PlanSegment
+    alone: Mapping[int, Trajectory]  # of robots that fly alone
+
+
 class PlanTask(NamedTuple):
     """A plan that is being computed."""
 
@@ -114,7 +121,7 @@ class Station:
     links: dict[int, LinkMonitor] = field(default_factory=dict)
     views: Fleet = field(default_factory=dict)  # as of the last cycle
     planning: "dict[str, PlanTask]" = field(default_factory=dict)
-    published: tuple[PlanSegment, Mapping[int, Trajectory]] | None = None  # segment, and what robots fly alone
+    published: PublishedPaths | None = None
     obstacles_up_to_ns: int | None = None  # where time waits: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
@@ -253,15 +260,17 @@ class Station:
         beginning, or what it flies alone."""
         segment, trips = self.mission.segment, self.single.trips
         alone = {robot: trajectory for robot, (trajectory, _) in trips.items()}
-        if self.published is not None and segment is self.published[0] and alone == self.published[1]:
+        is_same_segment = self.published is not None and self.published.segment is segment
+        alone_before = self.published.alone if self.published is not None and is_same_segment else None
+        if alone == alone_before:
             return
-        before = self.published[1] if self.published is not None and segment is self.published[0] else None
         for robot, trajectory in self.mission.roster.history.items():
             flown = alone.get(robot, trajectory)
-            if before is None or flown is not before.get(robot, trajectory):
+            if alone_before is None or flown is not alone_before.get(robot, trajectory):
                 self.bus.publish(topics.TRAJECTORY, flown, now_ns, robot)
-        self.paths = {r: (t, segment.end_s) for r, t in self.mission.roster.trajectories(segment).items()} | trips
-        self.published = segment, alone
+        formation = self.mission.roster.trajectories(segment)
+        self.paths = {robot: (trajectory, segment.end_s) for robot, trajectory in formation.items()} | trips
+        self.published = PublishedPaths(segment, alone)
 
     def _answers(self) -> list[CommandResult]:
         """The replies that have come since the last call, each once: a command is asked once whether it is answered."""
