@@ -238,7 +238,7 @@ def test_a_page_with_a_wrong_token_gets_no_state(lab: ServedStation) -> None:
     assert lab.orders == []
 
 
-@pytest.mark.parametrize("text", ["nonsense", '{"kind":"order","n":1,"order":"fly"}', "x" * (protocol.LONGEST_BYTES + 1)])
+@pytest.mark.parametrize("text", ["nonsense", '{"kind":"ack","n":-1}', "x" * (protocol.LONGEST_BYTES + 1)])
 def test_nonsense_ends_only_its_own_connection(lab: ServedStation, text: str) -> None:
     good, bad = lab.open(), lab.open()
     good.hello()
