@@ -620,12 +620,14 @@ def test_a_disk_that_hangs_as_a_page_is_opened_keeps_no_stop_waiting(
         assert page.until(lambda f: f["k"] == "reply")["ok"]
         other.say(kind="order", n=1, order="stop")
         assert eventually(lambda: len(lab.orders) == 2)
+        hello = other.hear()
+        assert hello["k"] == "hello" and hello["scene"]["loadable"] == []
+        assert other.until(lambda f: f["k"] == "reply")["ok"]
         assert not release.is_set()
     finally:
         release.set()
-    hello = other.hear()
-    assert hello["k"] == "hello" and hello["scene"]["loadable"] == ["pool"]
-    assert other.until(lambda f: f["k"] == "reply")["ok"]
+    third = lab.open()
+    assert third.hello()["scene"]["loadable"] == ["pool"]
 
 
 def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> None:
