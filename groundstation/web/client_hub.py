@@ -42,6 +42,7 @@ DRIVE_VALID_S = 1.0  # the same for a velocity: a person steers by what the page
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
 FAREWELL_S = 0.2  # for pages to be sent the last state
 HEAD = struct.Struct("<If")
+FILES_WITHIN_S = 3.0  # what a page of a run that is flown waits for its files
 NO_FILES = {"report": "", "end": None, "loadable": ()}  # of a run, where they cannot be read
 
 # WebSocket close codes of our own
@@ -256,9 +257,12 @@ class ClientHub:
 
     async def _greet(self, websocket: WebSocket, watcher: Client, greeting: dict[str, Any]) -> None:
         """Send a page its greeting, with what the disk has for it, and then all that comes. A disk that hangs keeps no page
-        from stopping the fleet, not this one either."""
-        scene = greeting["scene"] | await self._at(self._files, lambda _: NO_FILES, self._files_of_run)
-        watcher.window.greet(packed(greeting | {"scene": scene}))
+        from stopping the fleet, not this one either; and none from a run that is flown, which goes on without it."""
+        reading = asyncio.create_task(self._at(self._files, lambda _: NO_FILES, self._files_of_run))
+        scene = greeting["scene"]
+        await asyncio.wait({reading}, timeout=None if scene["mode"] == "replay" else FILES_WITHIN_S)
+        scene |= reading.result() if reading.done() else NO_FILES
+        watcher.window.greet(packed(greeting))
         await _send(websocket, watcher)
 
     def _files_of_run(self) -> dict[str, Any]:

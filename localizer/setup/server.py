@@ -4,6 +4,7 @@ GET /live is the picture (multipart JPEG), GET /state what the page shows, POST 
 of another page of the same browser has no key.
 """
 
+import asyncio
 import socket
 import subprocess
 import time
@@ -85,8 +86,8 @@ class SetupServer:
             arguments: dict[str, Any] = dict(await request.json())
         except (ValueError, TypeError, RecursionError):
             return PlainTextResponse("not a JSON object", 400)
-        if arguments.get("do") == "stop":
-            return JSONResponse({"problem": "", "found": await run_in_threadpool(_stop_fleet)})
+        if arguments.get("do") == "stop":  # in threads that nothing else takes
+            return JSONResponse({"problem": "", "found": await asyncio.to_thread(_stop_fleet)})
         try:
             answer: Any = await run_in_threadpool(self._session.do, str(arguments.pop("do", "")), arguments)
         except ConfigError as error:
