@@ -1,7 +1,6 @@
 /** The operator's page. */
 
 import { render } from "preact";
-import { useEffect, useRef } from "preact/hooks";
 import { startTheme } from "./colours";
 import { Editor } from "./editor/Editor";
 import "./keys";
@@ -12,7 +11,7 @@ import { Alarms, Log } from "./panels/Alarms";
 import { End } from "./panels/End";
 import { Faults } from "./panels/Faults";
 import { Header } from "./panels/Header";
-import { Mission, Stopped } from "./panels/Mission";
+import { Mission, MissionNews, Stopped } from "./panels/Mission";
 import { OneRobot } from "./panels/OneRobot";
 import { Plots, themeSerial } from "./panels/Plots";
 import { Replay } from "./panels/Replay";
@@ -20,13 +19,10 @@ import { Runs } from "./panels/Runs";
 import { Tiles } from "./panels/Tiles";
 import { Tuning } from "./panels/Tuning";
 import { Pool } from "./pool/Pool";
-import { keepStill } from "./still";
 import { connected, editing, ended, scene } from "./store";
 import "./style.css";
 
 function Page() {
-  const panels = useRef<HTMLDivElement>(null);
-  useEffect(() => keepStill(panels.current!.parentElement!, panels.current!), []);
   return (
     <div class={connected.value || scene.value === null || ended.value ? "page" : "page lost"}>
       <Header />
@@ -38,27 +34,27 @@ function Page() {
             <Alarms />
             <Stopped />
           </div>
-          <div class="panels" ref={panels}>
-            <End />
-            <Mission />
-            {editing.value && <Editor />}
-            <OneRobot />
-            <Faults />
-            <Tiles />
-            <Tuning />
-            <Log />
-            <details class="keys">
-              <summary>Keys</summary>
-              <dl>
-                {KEYS.map(([keys, what]) => (
-                  <div key={keys}>
-                    <dt>{keys}</dt>
-                    <dd>{what}</dd>
-                  </div>
-                ))}
-              </dl>
-            </details>
-          </div>
+          <End />
+          <Mission />
+          {editing.value && <MissionNews />}
+          {editing.value && <Editor />}
+          <OneRobot />
+          {!editing.value && <MissionNews />}
+          <Faults />
+          <Tiles />
+          <Tuning />
+          <Log />
+          <details class="keys">
+            <summary>Keys</summary>
+            <dl>
+              {KEYS.map(([keys, what]) => (
+                <div key={keys}>
+                  <dt>{keys}</dt>
+                  <dd>{what}</dd>
+                </div>
+              ))}
+            </dl>
+          </details>
         </aside>
         <Runs />
         <Replay />

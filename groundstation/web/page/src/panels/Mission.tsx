@@ -285,10 +285,6 @@ export function Mission() {
   return (
     <section class="mission" aria-label="Mission">
       <h2>Mission</h2>
-      {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
-      <Folder state={state} />
-      {state.flown && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}
-      <Preflight state={state} />
       <div class="orders">
         {BUTTONS.map((button) => (
           <OrderButton key={button.order} button={button} state={state} />
@@ -306,6 +302,20 @@ export function Mission() {
       </div>
       <Go state={state} />
       <OtherFlight state={state} />
+    </section>
+  );
+}
+
+/** What is told of the mission. Below all buttons: it comes and goes, and none of them may move under a hand. */
+export function MissionNews() {
+  const state = shown.value;
+  if (state === null || scene.value?.mode === "replay" || ended.value) return null;
+  return (
+    <section class="mission" aria-label="News of the mission">
+      {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
+      <Folder state={state} />
+      {state.flown && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}
+      <Preflight state={state} />
       <Remark />
       <Given />
     </section>

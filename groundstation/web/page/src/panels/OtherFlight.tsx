@@ -198,7 +198,6 @@ export function OtherFlight({ state }: { state: Snapshot }) {
       }}
     >
       {what === "path" ? <PathFields /> : <FormFields />}
-      <Answer what={what} />
       <div class="orders">
         <button type="submit" class="order start" disabled={!possible || !drafted.value?.ok || drafted.value.n !== question.value} title={rests ? "nobody moves before Start" : ""}>
           {rests ? `Take this ${noun}` : `Fly this ${noun}`}
@@ -207,6 +206,7 @@ export function OtherFlight({ state }: { state: Snapshot }) {
           Cancel
         </button>
       </div>
+      <Answer what={what} />
       {rests && <p class="hint">Start flies it, from where the robots are now.</p>}
     </form>
   );
