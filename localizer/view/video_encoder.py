@@ -1,7 +1,7 @@
 """SHELL: the log's video, as `recording.video` says, encoded in a thread of low priority.
 
-No other part waits for it: of frames that come faster than they can be encoded the newest counts. Where simulated time waits for
-the localizer it waits for the film as well, and every picture counts.
+No other part waits for it: of frames that come faster than they can be encoded the newest counts. Where simulated time waits
+for the localizer it waits for the film as well, and every picture counts.
 """
 
 import importlib

@@ -217,7 +217,9 @@ def test_titles_and_units_of_plots_are_whole_in_a_window_of_any_width(browser: B
         expect(desk.page.locator(".plot .unit").first).to_have_text("mm/s², mrad/s²")
         for caption in desk.page.locator(".plot figcaption").all():
             assert caption.evaluate("all => [...all.children].every(one => one.scrollWidth <= one.clientWidth + 1)")
-        edges = "all => all.map(one => [one.getBoundingClientRect().right, one.closest('.canvas').getBoundingClientRect().right])"
+        edges = (
+            "all => all.map(one => [one.getBoundingClientRect().right, one.closest('.canvas').getBoundingClientRect().right])"
+        )
         for curve, plot in desk.page.locator(".plot .u-series").evaluate_all(edges):
             assert curve <= plot
 
