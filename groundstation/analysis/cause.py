@@ -142,10 +142,10 @@ def _persons_act(series: Series) -> TimelineEvent | None:
     if series.started and went_all_the_way(series):
         return None
     begin_s, until_s = (0.0, series.ended_s) if series.started else (-math.inf, math.inf)
-    said = [e for e in series.timeline_events if e.source == "groundstation" and begin_s <= e.time_s <= until_s]
-    done_s = next((e.time_s for e in said if e.text == DONE), math.inf) if series.started else math.inf
-    leads = (e for e in said if LED.match(e.text)) if done_s < math.inf else ()
-    return next((e for e in said if e.text in ACTS and e.time_s < done_s), None) or next(iter(leads), None)
+    reports = [e for e in series.timeline_events if e.source == "groundstation" and begin_s <= e.time_s <= until_s]
+    done_s = next((e.time_s for e in reports if e.text == DONE), math.inf) if series.started else math.inf
+    leads = (e for e in reports if LED.match(e.text)) if done_s < math.inf else ()
+    return next((e for e in reports if e.text in ACTS and e.time_s < done_s), None) or next(iter(leads), None)
 
 
 def _explains(fault: TimelineEvent, act: TimelineEvent, series: Series) -> bool:
@@ -204,12 +204,12 @@ def _ended_by(series: Series) -> TimelineEvent | None:
     to end, or the first of the reasons since the flight last went on."""
     if not series.started or went_all_the_way(series):
         return None
-    said = [e for e in series.timeline_events if e.source == "groundstation" and 0.0 < e.time_s <= series.ended_s]
-    told = next((e for e in said if e.text == TERMINATED), None)
-    flew = [k for k, e in enumerate(said) if e.text.startswith(FLIES_ON)]
-    since = said[flew[-1] + 1 :] if flew else said
+    reports = [e for e in series.timeline_events if e.source == "groundstation" and 0.0 < e.time_s <= series.ended_s]
+    termination = next((e for e in reports if e.text == TERMINATED), None)
+    flew = [k for k, e in enumerate(reports) if e.text.startswith(FLIES_ON)]
+    since = reports[flew[-1] + 1 :] if flew else reports
     reasons = (e for e in since if e.text.startswith("mission: ") and ": " in e.text.removeprefix("mission: "))
-    return told or next(reasons, None)
+    return termination or next(reasons, None)
 
 
 def _excess(check: Check) -> float:

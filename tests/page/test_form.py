@@ -75,7 +75,7 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     assert desk.orders == [CommandKind.FORMATION] and desk.text == "line 1.1"
 
 
-def test_what_the_station_would_refuse_is_not_offered_and_says_why(desk: LoneStation) -> None:
+def test_a_request_that_the_station_would_refuse_is_not_offered_and_says_why(desk: LoneStation) -> None:
     page, why = desk.page, "the path is a circle: it cannot be left for other places under way"
     expect(button(page, "Go to…")).to_be_enabled()
     desk.own_status = Status(state=MissionState.RUNNING, refused={CommandKind.GO: why, CommandKind.REJOIN: "no robot is out"})

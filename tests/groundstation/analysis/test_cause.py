@@ -116,7 +116,7 @@ LED = "mission: running without a robot: robot 2: led by a person"
     ],
     ids=["told to end", "after a hold", "killed", "held"],
 )
-def test_what_a_flight_went_on_with_is_not_the_cause_of_its_end(
+def test_a_reason_before_the_flight_went_on_is_not_the_cause_of_its_end(
     tmp_path: Path, lines: tuple[tuple[float, str], ...], noticed_by: str, text: str | None
 ) -> None:
     result = judged(tmp_path, Script(duration_s=FLOWN_S, lines=lines, until_s=6.0))

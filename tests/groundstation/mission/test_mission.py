@@ -71,13 +71,13 @@ def test_a_failed_preflight_names_robot_and_reason_and_arms_no_robot(change: dic
     assert run.robots[1].got == []
 
 
-def test_what_is_told_of_a_request_before_is_what_it_is_refused_for() -> None:
+def test_a_refusal_is_told_before_the_request_with_the_same_reason() -> None:
     run = MissionRun(settings=["duration_s=60"])
     while run.mission.state is not MissionState.RUNNING:
         run.step()
-    told = run.mission.refusals(run.fleet())
-    assert set(told) == {CommandKind.GO, CommandKind.REJOIN}, "on a circle, with all robots in their places"
-    for order, reason in told.items():
+    refusals = run.mission.refusals(run.fleet())
+    assert set(refusals) == {CommandKind.GO, CommandKind.REJOIN}, "on a circle, with all robots in their places"
+    for order, reason in refusals.items():
         assert run.mission.request(order, run.fleet(), run.now_ns, via=[(0.1, 0.1)]) == reason
     run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
     assert CommandKind.RESUME in run.mission.refusals(run.fleet()), "nobody holds yet"
