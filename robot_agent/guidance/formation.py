@@ -182,11 +182,16 @@ class Formation:
         self._safety, self._nodes_s, self._has_leader, self._most_m = safety, nodes_s, has_leader, most_m
         self._near = np.unique(np.linspace(0, len(nodes_s) - 1, NODES + 1)[1:].round().astype(np.intp))
         self.rows = NEAREST * len(self._near)  # half-spaces there can be
-        nobody = np.zeros(0), np.zeros(0, np.complex128)
         self._nobody = NeighbourPredictions(
-            (), np.zeros((0, len(nodes_s), 4)), np.zeros((len(nodes_s), 4)), 0, nobody[1], nobody[0], nobody[1],
-            np.zeros((0, WAY_STEPS), np.complex128),
-        )  # fmt: skip
+            neighbours=(),
+            pose=np.zeros((0, len(nodes_s), 4)),
+            deviation=np.zeros((len(nodes_s), 4)),
+            members=0,
+            place_now=np.zeros(0, np.complex128),
+            depth_now=np.zeros(0),
+            intended_velocity=np.zeros(0, np.complex128),
+            intended_way=np.zeros((0, WAY_STEPS), np.complex128),
+        )
         self.set_weight(weight)
 
     def set_weight(self, weight: tuple[float, float, float, float]) -> None:

@@ -63,6 +63,7 @@ def fields_of(record: Any) -> dict[str, Any]:
 
 @cache
 def _numba_type(hint: Any) -> Any:
+    """Numba's type for an annotation. Raises TypeError for one that no kernel takes."""
     tuple_of: Any = types.BaseTuple.from_types
     if hint in SCALARS:
         return SCALARS[hint]

@@ -71,6 +71,20 @@ def test_a_failed_preflight_names_robot_and_reason_and_arms_no_robot(change: dic
     assert run.robots[1].got == []
 
 
+def test_a_refusal_is_told_before_the_request_with_the_same_reason() -> None:
+    run = MissionRun(settings=["duration_s=60"])
+    while run.mission.state is not MissionState.RUNNING:
+        run.step()
+    refusals = run.mission.refusals(run.fleet())
+    assert set(refusals) == {CommandKind.GO, CommandKind.REJOIN}, "on a circle, with all robots in their places"
+    for order, reason in refusals.items():
+        assert run.mission.request(order, run.fleet(), run.now_ns, via=[(0.1, 0.1)]) == reason
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    assert CommandKind.RESUME in run.mission.refusals(run.fleet()), "nobody holds yet"
+    run.step(0.2)
+    assert set(run.mission.refusals(run.fleet())) == {CommandKind.REJOIN}
+
+
 def test_another_experiment_on_a_robot_is_refused() -> None:
     run = MissionRun()
     run.robots[1].experiment = load_experiment("pool", ["duration_s=3"])
@@ -406,6 +420,51 @@ def test_a_gap_stays_open_until_an_operator_resumes_the_held_robots() -> None:
     run.step(0.2)
     assert run.at(MissionState.HALTING)
     assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
+
+
+@pytest.mark.parametrize("then", ["carried off", "out", "another form"])
+def test_a_gap_closes_whatever_else_happens_to_the_held_robots(then: str) -> None:
+    """Nobody moves while a person holds; the next plan, whatever it is made for, has no gap."""
+    run = three_running("close-up")
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    run.step(0.5)
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(0.5)
+    assert set(run.mission.roster.slots_in_use().values()) == {1, 3}
+    order, text = CommandKind.RESUME, ""
+    if then == "carried off":
+        run.robots[1].eta = (3.0, 0.0, 0.0, 0.0)
+    elif then == "out":
+        run.robots[2].mode = Mode.DISARMED
+        run.mission.note_water(2, True)
+    else:
+        order, text = CommandKind.FORMATION, "line 1.0"
+    run.step(0.5)
+    assert run.mission.request(order, run.fleet(), run.now_ns, text=text) == ""
+    run.step(0.2)
+    assert run.at(MissionState.HALTING)
+    assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
+
+
+def test_a_gap_is_forgotten_with_the_robot_that_rejoins() -> None:
+    """Another one that a person leads later leaves none that the others were to close."""
+    run = three_running("close-up")
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    run.step(0.5)
+    run.robots[2].mode = Mode.FAULT
+    run.step(0.5)
+    run.robots[2].mode = Mode.DISARMED
+    run.step(0.5)
+    assert run.mission.request(CommandKind.REJOIN, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert run.mission.roster.active == (1, 2, 3)
+    run.robots[2].mode = Mode.HOLDING
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    run.mission.lead(1, CommandKind.DISARM)
+    assert 1 in run.mission.roster.lost
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert set(run.mission.roster.slots_in_use().values()) == {2, 3}
 
 
 def test_a_thruster_test_after_a_run_includes_its_lost_robot() -> None:
@@ -1365,10 +1424,23 @@ def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() 
         robot.test = "passed"
     run.step(2.0)
     assert run.at(MissionState.WAITING) and run.mission.verdict is MissionState.DONE
+    # nobody flies for these alone: a run that is ended now is done
+    for order, leads_to in ((CommandKind.LOAD, MissionState.LOADING), (CommandKind.ARM, MissionState.ARMING)):
+        assert run.mission.request(order, run.fleet(), run.now_ns) == ""
+        run.step(1.0)
+        assert run.at(leads_to) and run.mission.verdict is MissionState.DONE
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    run.robots[2].refuses = frozenset({CommandKind.ARM})
     assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
-    assert run.mission.verdict is None
+    run.step(PATIENCE_S + 1.0)
+    assert run.at(MissionState.FAILED) and run.mission.verdict is MissionState.DONE  # the report judges what was flown
+    run.robots[2].refuses = frozenset()
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(MissionState.RUNNING) and run.mission.verdict is None
     run.step(6.0)
-    assert run.at(MissionState.DONE)
+    assert run.at(MissionState.DONE) and run.mission.verdict is MissionState.DONE
     assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
 
 
@@ -1532,6 +1604,42 @@ def test_robots_hold_while_one_cannot_tell_of_obstacles(blind: dict[int, str], r
     run.step(0.2)
     assert run.at(MissionState.PAUSED) and run.mission.reason == reason
     assert {r.mode for r in run.robots.values()} == {Mode.HOLDING}
+
+
+@pytest.mark.parametrize("trouble", ["blind", "localizer_hash"])
+def test_robots_that_may_not_fly_are_sent_off_by_no_loss_and_no_request(trouble: str) -> None:
+    """They hold for another reason than the robot that is then lost. The gap closes when a person lets them go on."""
+    run = three_running("close-up")
+    for robot in run.robots.values():
+        setattr(robot, trouble, "the light changed")
+    run.step(0.5)
+    assert run.at(MissionState.PAUSED)
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(3.0)
+    assert run.at(MissionState.PAUSED) and run.mission.roster.active == (1, 3)
+    for order, text in ((CommandKind.RESUME, ""), (CommandKind.RETURN, ""), (CommandKind.FORMATION, "line 1.0")):
+        assert "robot" in run.mission.request(order, run.fleet(), run.now_ns, text=text)
+    for robot in run.robots.values():
+        setattr(robot, trouble, "")
+    run.step(2.0)  # the mission is automatic: it goes on by itself
+    assert run.at(MissionState.HALTING)
+    assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
+
+
+@pytest.mark.parametrize("trouble", ["blind", "localizer_hash"])
+def test_robots_that_may_not_fly_any_more_wait_for_it_armed(trouble: str) -> None:
+    """All was well at the request, and while they were armed."""
+    run = MissionRun(automatic=False)
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    while not run.at(MissionState.ARMING):
+        run.step()
+    setattr(run.robots[2], trouble, "the light changed")
+    run.step(3.0)
+    assert run.at(MissionState.ARMING) and "robot 2" in run.mission.reason
+    assert {r.mode for r in run.robots.values()} == {Mode.ARMED}
+    setattr(run.robots[2], trouble, "")
+    run.step(1.0)
+    assert run.at(MissionState.RUNNING)
 
 
 @pytest.mark.parametrize(("policy", "lost"), [("warn", False), ("hold", True)])

@@ -294,7 +294,7 @@ def test_before_its_instant_a_robot_waits_where_it_is_to_go_on() -> None:
 
 
 def test_a_robot_that_waits_foresees_when_it_will_go_on() -> None:
-    """Two seconds ahead it plans where its path leads by then, also half a second before it sets out."""
+    """Its plan 2 s ahead is where its path leads by then, also half a second before it sets out."""
     robot, ahead = ClockedRobot(straight()), ReferenceSampler(np.array([2.0]))
     assert robot.start(in_s=0.5, at_s=3.0) == ""
     foreseen, sets_out_ns = [], robot.now_ns + NS // 2
