@@ -1,6 +1,5 @@
 """Comparison of control laws: variants, scattered starts, and figures equal to those of single flights."""
 
-import _thread
 import io
 import math
 import os
@@ -13,7 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -187,33 +186,28 @@ def test_flights_are_kept_elsewhere_where_the_disk_does_not_take_them(tmp_path: 
     assert [variant.name for variant in Comparison.from_json(kept.read_text()).variants] == ["nmpc"]
 
 
-class WatchedPool(ThreadPoolExecutor):
-    """An executor that knows its flights."""
+def test_an_interrupted_comparison_keeps_the_seeds_that_all_flew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flights: list[Future[Any]] = []
 
-    flights: ClassVar[list[Future[Any]]] = []
+    def press_ctrl_c() -> None:
+        raise KeyboardInterrupt
 
-    def submit(self, *call: Any, **options: Any) -> Future[Any]:
-        self.flights.append(super().submit(*call, **options))
-        return self.flights[-1]
-
-    @classmethod
-    def interrupt(cls) -> None:
-        """Press Ctrl-C, and wait until the last flight is given up."""
-        _thread.interrupt_main()
-        while not cls.flights[-1].cancelled():
-            time.sleep(0.01)
-
-
-def test_an_interrupted_comparison_keeps_the_seeds_that_all_have_flown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     def fly_until_interrupted(task: FlightTask) -> FlightRecord:
-        if task.seed == 2:
-            WatchedPool.interrupt()
+        while task.seed == 2 and not (len(flights) == 4 and flights[3].cancelled()):
+            time.sleep(0.01)
         return fly(task)
 
+    class InterruptedWait(ThreadPoolExecutor):
+        def submit(self, *call: Any, **options: Any) -> Future[Any]:
+            flights.append(super().submit(*call, **options))
+            if len(flights) == 3:
+                waits = flights[2].exception
+                answers = iter((press_ctrl_c, waits))
+                monkeypatch.setattr(flights[2], "exception", lambda: next(answers, waits)())
+            return flights[-1]
+
     monkeypatch.setattr(comparison, "fly", fly_until_interrupted)
-    monkeypatch.setattr(comparison, "worker_pool", WatchedPool)
+    monkeypatch.setattr(comparison, "worker_pool", InterruptedWait)
     screen = io.StringIO()
     console = Console(file=screen, width=200)
     assert comparison.run("numeric", ["duration_s=20.5"], ["pid", "lqr"], [1, 2], 0.0, 1, tmp_path, console) == 1

@@ -1,13 +1,11 @@
 """Tuning as a command: gains come back as a section of an experiment file that can be flown."""
 
-import _thread
 import dataclasses
-import time
 import tomllib
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, ClassVar, get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -144,34 +142,21 @@ def test_a_worker_that_dies_takes_no_gains_with_it_that_were_found(flown: int, m
     assert "of 12 trials" in done.stderr and "terminated abruptly" in done.stderr
 
 
-class WatchedPool(ThreadPoolExecutor):
-    """An executor that knows its flights."""
-
-    flights: ClassVar[list[Future[Any]]] = []
-
-    def submit(self, *call: Any, **options: Any) -> Future[Any]:
-        self.flights.append(super().submit(*call, **options))
-        return self.flights[-1]
-
-    @classmethod
-    def interrupt(cls) -> None:
-        """Press Ctrl-C, and wait until the last flight is given up."""
-        _thread.interrupt_main()
-        while not cls.flights[-1].cancelled():
-            time.sleep(0.01)
-
-
 def test_an_interrupted_search_prints_its_best_gains_and_goes_on_with_no_other_law(monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[float] = []
 
     def fly_until_interrupted(task: FlightTask) -> FlightRecord:
-        if len(tried) == 1:
-            WatchedPool.interrupt()
         tried.append(task.experiment.controller.pid.guidance_per_s2)
         return FlightRecord(task.seed, GOOD, None, None)
 
+    class InterruptedMap(ThreadPoolExecutor):
+        def map(self, *call: Any, **options: Any) -> Any:
+            if tried:
+                raise KeyboardInterrupt
+            return super().map(*call, **options)
+
     monkeypatch.setattr(gain_tuning, "fly", fly_until_interrupted)
-    monkeypatch.setattr(gain_tuning, "worker_pool", WatchedPool)
+    monkeypatch.setattr(gain_tuning, "worker_pool", InterruptedMap)
     command = ["tune", "--laws", "pid,lqr", "--scenes", "numeric-disturbed", "--budget", "12", "--jobs", "1"]
     done = CliRunner().invoke(cli, command)
     assert done.exit_code == 1, done.output
