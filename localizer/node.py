@@ -93,6 +93,7 @@ class FrameOutlets:
     page: "MjpegServer | None" = None  # the picture with what was found in it, for people
     on_bus: bool = False  # as they are, for other programs
     recorder: FrameRecorder | None = None  # into a file
+    whole_film: bool = False  # time waits for the log's video
 
 
 class LocalizerNode:
@@ -138,7 +139,9 @@ class LocalizerNode:
         show = partial(draw, self._localizer, labels=self._outlets.page is not None)
         with ExitStack() as stack:
             if self._experiment.recording.video != "none":
-                self._video = stack.enter_context(closing(VideoEncoder(self._experiment, self._bus, self.stop, self._camera)))
+                whole = self._outlets.whole_film
+                video = VideoEncoder(self._experiment, self._bus, self.stop, self._camera, whole)
+                self._video = stack.enter_context(closing(video))
             previews = PreviewPublisher(
                 show, self._bus, self._clock, self.stop, rate_hz, self._outlets.page, self._outlets.on_bus, self._camera
             )
@@ -204,6 +207,7 @@ class LocalizerNode:
         attitudes: dict[int, Attitude],
         poses: tuple[tuple[int, Pose], ...],
     ) -> None:
+        """Give the recorder a frame, with what was known and what was published."""
         if self._outlets.recorder is not None:
             attitude_values = {robot: astuple(attitude) for robot, attitude in attitudes.items()}
             published = {robot: encode(pose) for robot, pose in poses}

@@ -168,6 +168,7 @@ class Agent:
             self._enter(target, self._fault if target is Mode.STOPPED else "")
 
     def _enter(self, mode: Mode, fault: str) -> None:
+        """Enter a mode, and drop what belongs to the others."""
         if mode is not Mode.HOLDING:
             self._hold = None
         if mode is not Mode.DRIVEN:
@@ -346,6 +347,7 @@ class Agent:
         return blindness(watched.obstacles, (now_ns - watched.instant_ns) * 1e-9)
 
     def _plan(self, output: ControlOutput, fresh_robots: tuple[int, ...], adrift: bool) -> Plan:
+        """The plan for the neighbours, from what the controller has computed."""
         return Plan(
             self.controller.plan_period_s,
             output.plan_eta,

@@ -94,7 +94,7 @@ def of_the_pool(browser: Browser, out: str) -> None:
         page.get_by_role("button", name="Close").click()
         gains = page.locator(".tuning")
         gains.locator("summary").click()
-        gains.get_by_label("Inputs R yaw").fill("80")
+        gains.get_by_label("turning", exact=True).fill("0.1")
         gains.get_by_role("button", name="Apply").click()
         gains.get_by_text("set B").wait_for()
         flown(page, 40)

@@ -56,6 +56,12 @@ def objection(order: CommandKind, context: RequestContext) -> str:
     return next((reason for check in OBJECTIONS.get(order, ()) if (reason := check(context))), "")
 
 
+def standing_objection(order: CommandKind, context: RequestContext) -> str:
+    """Reason against a request whatever its places, form or experiment; empty if there is none."""
+    checks = (check for check in OBJECTIONS.get(order, ()) if check not in OF_DETAILS)
+    return next((reason for check in checks if (reason := check(context))), "")
+
+
 def mode_name(robot: RobotView) -> str:
     """Name of a robot's mode for people."""
     return robot.mode.name if robot.mode is not None else "never heard"
@@ -143,6 +149,7 @@ def _no_places(context: RequestContext) -> str:
 
 
 def _unchangeable(context: RequestContext) -> str:
+    """The reason why the path cannot be left for other places under way, or ""."""
     experiment = context.flown
     if can_replan(experiment):
         return ""
@@ -154,6 +161,7 @@ def _unchangeable(context: RequestContext) -> str:
 
 
 def _no_form(context: RequestContext) -> str:
+    """The reason why the formation cannot take the form that is asked for, or ""."""
     try:
         changes = read_form(context.text, 0.0)
     except ValueError as error:
@@ -182,7 +190,7 @@ def _being_planned(context: RequestContext) -> str:
 
 
 def _on_transfers(context: RequestContext) -> str:
-    moves = context.state is not MissionState.PAUSED and context.transfer
+    moves = context.state not in AT_REST | {MissionState.PAUSED} and context.transfer
     return "the robots are still on their way to their places: wait until they are there" if moves else ""
 
 
@@ -214,6 +222,8 @@ def _none_can_return(context: RequestContext) -> str:
 
 
 Check = Callable[[RequestContext], str]
+
+OF_DETAILS: tuple[Check, ...] = (_no_places, _outside, _no_form, _no_flight)
 
 OBJECTIONS: Mapping[CommandKind, tuple[Check, ...]] = {
     CommandKind.LOAD: (_moves, _being_planned),

@@ -69,10 +69,13 @@ def required_slowdown(experiment: Experiment, motions: Mapping[int, NodeMotion])
 def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], count: int) -> list[PlanFigure]:
     """Clearances, speeds and forces of a plan in its first `count` samples; no distance where there is nothing to be near."""
     eta = [t.eta[:count, :3] for t in trajectories.values()]
-    apart_m = min((float(np.linalg.norm(a - b, axis=1).min()) for a, b in combinations(eta, 2)), default=np.inf)
+    apart = [np.linalg.norm(a - b, axis=1) for a, b in combinations(eta, 2)]
+    nearest, closest_m = min(apart, key=np.min, default=np.array([np.inf])), 2.0 * experiment.safety.radius_m
+    leaves = nearest[0] == nearest.min() < closest_m - TOLERANCE and nearest[-1] >= closest_m - TOLERANCE
+    when = ", as they lie now" if leaves else ""  # no plan can mend that
     away_m = float(experiment.clearance_m(np.vstack(eta)).min())
     listed = [
-        PlanFigure("between centres", "m", apart_m, 2.0 * experiment.safety.radius_m, True),
+        PlanFigure(f"between centres{when}", "m", float(nearest.min()), closest_m, True),
         PlanFigure("hulls to walls and islands", "m", away_m, 0.0, True),
     ]
     demands = [experiment.vehicle.demands(t.velocity[:count], t.acceleration[:count]) for t in trajectories.values()]

@@ -81,6 +81,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
             "battery_v": [vehicle.battery.neutral_v, vehicle.battery.no_arm_v, vehicle.battery.warn_v, vehicle.battery.full_v],
         },
         "thrusters": [[*place[:2], *place[3:5]] for place in vehicle.thruster_places],
+        "outputs": list(vehicle.thruster_channels),
         "islands": [[*island.position_m, island.radius_m] for island in experiment.islands],
         "robots": [{"id": r.id, "node_m": list(r.node_m), "neighbours": list(r.neighbours)} for r in experiment.robots],
         "path": experiment.path.model_dump(mode="json"),

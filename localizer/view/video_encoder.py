@@ -1,6 +1,7 @@
 """SHELL: the log's video, as `recording.video` says, encoded in a thread of low priority.
 
-No other part waits for it: of frames that come faster than they can be encoded the newest counts.
+No other part waits for it: of frames that come faster than they can be encoded the newest counts. Where simulated time waits
+for the localizer it waits for the film as well, and every picture counts.
 """
 
 import importlib
@@ -34,21 +35,22 @@ CLOCK_HZ = 1000  # Hz of the video's own time stamps
 class VideoEncoder:
     """The thread, ended by `close`. A frame that cannot be encoded is left out, and the encoder is made anew."""
 
-    def __init__(self, experiment: Experiment, bus: Bus, stop: Stop, camera: str = "") -> None:
-        """For one of several cameras, or the only one (""). Raises ConfigError if the needed package is not installed."""
+    def __init__(self, experiment: Experiment, bus: Bus, stop: Stop, camera: str = "", waited_for: bool = False) -> None:
+        """For one of several cameras, or the only one (""). `waited_for`: encode each picture before `offer` returns. Raises
+        ConfigError if the needed package is not installed."""
         self._recording, self._size_px = experiment.recording, experiment.camera.size_px
         self._pack = packer(self._recording, self._size_px)
         self._due, self._bus = RateLimiter(experiment.recording.video_rate_hz), bus
         self._film = topics.VIDEO if experiment.recording.video == "h264" else topics.PICTURE
         self._topic = self._film.of_camera(camera)
-        self._offered, self._encoded = 0, 0
+        self._offered, self._encoded, self._waited_for = 0, 0, waited_for
         self._worker: LatestItemWorker[CapturedFrame] = LatestItemWorker("video", self._send, stop, _give_way)
 
     def offer(self, captured: CapturedFrame) -> None:
-        """Offer a frame. Never waits."""
+        """Offer a frame. Waits only if the film is waited for."""
         if self._due.due(captured.stamp_ns):
             self._offered += 1
-            self._worker.offer(captured)
+            (self._worker.work if self._waited_for else self._worker.offer)(captured)
 
     def close(self) -> None:
         """Finish the last one, and say whether the film is a part of what was asked for."""
@@ -57,6 +59,7 @@ class VideoEncoder:
             log.warning("the video holds %d of %d pictures: the machine is too busy for more", self._encoded, self._offered)
 
     def _send(self, captured: CapturedFrame) -> None:
+        """Encode a picture and publish it. After an error the encoder is made anew."""
         try:
             packed = self._pack(captured.pixels, captured.stamp_ns)
             self._encoded += 1

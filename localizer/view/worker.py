@@ -37,6 +37,10 @@ class LatestItemWorker(Generic[T]):
         """Work on this item next. Never waits."""
         self._newest.put(item)
 
+    def work(self, item: T) -> None:
+        """Work on this item now, in the caller's thread: for callers that offer nothing."""
+        self._try(item)
+
     def close(self) -> None:
         """Finish the item under way, and end the thread."""
         self._closing.set()
@@ -50,6 +54,7 @@ class LatestItemWorker(Generic[T]):
                 self._try(item)
 
     def _try(self, item: T) -> None:
+        """Handle a picture. Only the first failure in a row is logged, and the first success after it."""
         try:
             self._handle(item)
         except Exception as error:

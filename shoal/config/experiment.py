@@ -453,7 +453,7 @@ def checked_experiment(
         for setting in settings:
             given |= {setting.partition("=")[0].strip(): f"--set {setting}: ", setting: "--set ", repr(setting): "--set "}
             apply_setting(table, setting)
-            _insert_files(table, path)
+            _insert_files(table, path, typed=True)
         _insert_nodes(table)
         sim = table.setdefault("sim", {}) if faults else None
         if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
@@ -496,8 +496,9 @@ def _of_option(line: str, path: Path, given: Mapping[str, str]) -> str:
     return line
 
 
-def _insert_files(table: dict[str, Any], experiment: Path) -> None:
-    """Put vehicle and cameras in the place of their files' names, so that settings reach into them and the hash covers them.
+def _insert_files(table: dict[str, Any], experiment: Path, typed: bool = False) -> None:
+    """Put vehicle and cameras in the place of their files' names, so that settings reach into them and the hash covers them. A
+    name that a person has `typed` is looked for in the working folder first, any other beside the experiment's file.
 
     A table may name a file as `like` and say only what is different: `vehicle = { like = "spherical", radius_m = 0.2 }`.
     """
@@ -511,8 +512,10 @@ def _insert_files(table: dict[str, Any], experiment: Path) -> None:
         name = given.get("like") if isinstance(given, dict) else given
         if not isinstance(name, str):
             continue
+        beside = experiment.parent
+        is_from_here = typed and (Path(name).is_file() or not (beside / name).is_file())
         try:
-            holder[key] = load(name, experiment.parent).model_dump(mode="json")
+            holder[key] = load(name, Path() if is_from_here else beside).model_dump(mode="json")
         except ConfigError as error:
             raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
         if isinstance(given, dict):

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from localizer.fusion_node import FusionNode, PicturesUpTo
-from localizer.node import LocalizerNode
+from localizer.node import FrameOutlets, LocalizerNode
 from localizer.sources.base import CapturedFrame
 from localizer.sources.bus import FrameCount
 from shoal.bus.bus import Bus, Inbox
@@ -19,7 +19,7 @@ from sim_bridge.lockstep.clock import Lockstep, LockstepClock
 def localizer_in_lockstep(experiment: Experiment, bus: Bus, stop: Stop, camera: str = "") -> LocalizerNode:
     """The localizer of one of several cameras, or of the only one, with the simulator's time."""
     clock = LockstepClock()
-    node = LocalizerNode(experiment, bus, stop, clock, camera=camera)
+    node = LocalizerNode(experiment, bus, stop, clock, outlets=FrameOutlets(whole_film=True), camera=camera)
     number = experiment.camera_names.index(camera) if camera else None
     node.source = LockstepSource(bus, clock, stop, node.states, camera, number)
     return node

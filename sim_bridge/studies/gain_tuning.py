@@ -78,10 +78,11 @@ def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolE
     first: FeedbackLawConfig = getattr(tasks[0].experiment.controller, law.replace("-", "_"))
 
     def flown(generation: Sequence[Array]) -> list[float]:
+        """The cost of each set of gains of a generation, flown in all tasks."""
         sections = [with_gains(first, gains) for gains in generation]
         changed = [replace(t, experiment=_under(t.experiment, law, s), with_traces=False) for s in sections for t in tasks]
-        figures = iter([flight.figures for flight in pool.map(fly, changed)])
-        return [cost([next(figures) for _ in tasks]) for _ in generation]
+        figures = [flight.figures for flight in pool.map(fly, changed)]  # of a set of gains one after the other
+        return [cost(figures[k : k + len(tasks)]) for k in range(0, len(figures), len(tasks))]
 
     trials, cut_short = list[Trial](), ""
     try:

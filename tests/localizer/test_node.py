@@ -388,6 +388,28 @@ def expose(bus: Bus, statuses: Inbox[LocalizerStatus], pixels: Pixels, frame_ns:
     return received.message
 
 
+def test_in_lockstep_the_logs_video_holds_every_picture(
+    hub: tuple[Bus, Callable[..., LocalizerNode]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long it takes to encode one: simulated time has no need to go on without it."""
+    bus, localize = hub
+    statuses, filmed = bus.inbox(topics.LOCALIZER, LocalizerStatus), list[int]()
+
+    def pack(pixels: Pixels, stamp_ns: int) -> bytes:
+        time.sleep(1.0)  # in which several frames are located
+        return b"picture"
+
+    monkeypatch.setattr("localizer.view.video_encoder.packer", lambda recording, size_px: pack)
+    bus.subscribe(topics.PICTURE, None, lambda topic, key, header, payload: filmed.append(header.stamp_ns))
+    localize(LockstepClock(), load_experiment("pool", ['recording.video="jpeg"']))
+    assert eventually(lambda: "localizer" in bus.present)
+    scene = Scene(EXPERIMENT)
+    for k in range(5):
+        expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
+    assert eventually(lambda: len(filmed) == 5)
+    assert filmed == [50 * MS * k for k in range(5)]
+
+
 def test_an_error_in_a_picture_costs_that_picture_and_ten_in_a_row_the_process(
     hub: tuple[Bus, Callable[..., LocalizerNode]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

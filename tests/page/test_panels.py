@@ -61,7 +61,7 @@ def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
 def test_a_note_about_many_robots_stands_there_once(browser: Browser) -> None:
     with lone_station(browser, load_experiment("fleet-20")) as desk:
         page = desk.page
-        desk.preflight = tuple(Finding(robot, "gone", "critical", True, "not heard", "") for robot in (1, 2, 5, 6, 7, 8))
+        desk.preflight = tuple(Finding(robot, "gone", "critical", "not heard", "", True) for robot in (1, 2, 5, 6, 7, 8))
         page.goto(desk.url)
         expect(page.locator(".preflight li")).to_have_text(
             [re.compile("robots 1, 2, 5 to 8 not heard"), re.compile("robots 3, 4, 9 to 20 ready")]
@@ -206,6 +206,22 @@ def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp
         page.keyboard.press("Escape")  # closes the list, and stops nothing
         expect(rows).to_have_count(0)
         assert desk.orders == []
+
+
+@pytest.mark.parametrize("width", [840, 1024, 1280, 1440])
+def test_titles_and_units_of_plots_are_whole_in_a_window_of_any_width(browser: Browser, width: int) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        desk.page.set_viewport_size({"width": width, "height": 768})
+        desk.page.goto(desk.url)
+        desk.page.get_by_label("What plot 1 shows").select_option("disturbance")  # the longest
+        expect(desk.page.locator(".plot .unit").first).to_have_text("mm/s², mrad/s²")
+        for caption in desk.page.locator(".plot figcaption").all():
+            assert caption.evaluate("all => [...all.children].every(one => one.scrollWidth <= one.clientWidth + 1)")
+        edges = (
+            "all => all.map(one => [one.getBoundingClientRect().right, one.closest('.canvas').getBoundingClientRect().right])"
+        )
+        for curve, plot in desk.page.locator(".plot .u-series").evaluate_all(edges):
+            assert curve <= plot
 
 
 def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> None:

@@ -110,6 +110,8 @@ def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browse
         assert any(unit in opened[0].get_textpage().get_text_range() for unit in ("[s]", "[m]"))
     _, png = saved("Save the figure tracking", "png-1")
     assert png[:4] == b"\x89PNG" and int.from_bytes(png[16:20]) == 2100  # 3.5 in at 600 dpi
+    _, data = saved("Save the figure tracking", "csv")
+    assert {"0.05", "0.1", "0.15"} <= {row[0] for row in csv.reader(data.decode().splitlines())}, "no digits that are none"
     name, table = saved("Save the table errors", "csv")
     rows = list(csv.reader(table.decode().splitlines()))
     assert len({len(row) for row in rows}) == 1 and rows[2][0] == "robot 1"

@@ -272,8 +272,9 @@
   function dataOf(drawing) {
     const lines = (drawing.panels ?? []).flatMap((panel) => panel.lines.map((one) => [`${one.label || "value"}: ${panel.label}`, one]));
     const rows = [lines.flatMap(([name]) => [drawing.xLabel, name])];
-    for (let k = 0; k < Math.max(0, ...lines.map(([, one]) => one.x.length)); k++) rows.push(lines.flatMap(([, { x, y }]) => [x[k] ?? "", y[k] ?? ""]));
-    return csvOf(rows.map((row) => row.map(String)));
+    const said = (v) => (v === null || v === undefined ? "" : `${+v.toPrecision(7)}`); // a report holds them to 24 bits: more digits are none
+    for (let k = 0; k < Math.max(0, ...lines.map(([, one]) => one.x.length)); k++) rows.push(lines.flatMap(([, { x, y }]) => [said(x[k]), said(y[k])]));
+    return csvOf(rows);
   }
 
   /** Save a drawing, or a picture that is SVG, under a name. `what`: pdf-1, svg-2, png-1, csv, ... */

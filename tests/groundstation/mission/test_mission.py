@@ -1,12 +1,13 @@
 """The mission against a fleet of simple obedient (or not) robots, with time as an argument."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from groundstation.mission.mission import ATTENDED, PATIENCE_S, STAGES, TEST_PATIENCE_S
+from groundstation.mission.mission import ATTENDED, PATIENCE_S, STAGES, TEST_PATIENCE_S, Mission
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.roster import Leader
 from groundstation.mission.state_machine import IN_FLIGHT, TERMINAL, MissionState
@@ -68,6 +69,20 @@ def test_a_failed_preflight_names_robot_and_reason_and_arms_no_robot(change: dic
     assert "robot 2" in run.mission.reason
     assert says in run.mission.reason
     assert run.robots[1].got == []
+
+
+def test_a_refusal_is_told_before_the_request_with_the_same_reason() -> None:
+    run = MissionRun(settings=["duration_s=60"])
+    while run.mission.state is not MissionState.RUNNING:
+        run.step()
+    refusals = run.mission.refusals(run.fleet())
+    assert set(refusals) == {CommandKind.GO, CommandKind.REJOIN}, "on a circle, with all robots in their places"
+    for order, reason in refusals.items():
+        assert run.mission.request(order, run.fleet(), run.now_ns, via=[(0.1, 0.1)]) == reason
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    assert CommandKind.RESUME in run.mission.refusals(run.fleet()), "nobody holds yet"
+    run.step(0.2)
+    assert set(run.mission.refusals(run.fleet())) == {CommandKind.REJOIN}
 
 
 def test_another_experiment_on_a_robot_is_refused() -> None:
@@ -139,6 +154,80 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(4.0)
     assert run.at(MissionState.DONE)
+
+
+@pytest.mark.parametrize(("settings", "turns"), [([], True), (["vehicle=vectored"], False)])
+def test_a_formation_goes_on_when_its_robots_have_had_the_time_to_turn_to_their_paths(
+    settings: list[str], turns: bool
+) -> None:
+    """Headings are free in HOLD. A robot with side thrust sets out at any heading."""
+    waits_s = []
+    for heading_rad in (0.0, 1.0, -3.0, 6.28):
+        run = MissionRun(settings=["duration_s=60", *settings])
+        for robot in run.robots.values():
+            robot.battery_v = run.experiment.vehicle.battery.full_v
+        while run.mission.state is not MissionState.RUNNING:
+            run.step()
+        assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
+        run.step(1.0)
+        run.robots[2].eta = (0.0, 0.0, 0.0, heading_rad)
+        assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+        run.step(0.5)
+        resumes = [robot.got[-1] for robot in run.robots.values()]
+        assert {command.order for command in resumes} == {CommandKind.RESUME} and len({c.start_ns for c in resumes}) == 1
+        waits_s.append((resumes[0].start_ns - run.now_ns) * 1e-9)
+    least_s, some_s, most_s, whole_turn_s = waits_s
+    assert whole_turn_s == pytest.approx(least_s, abs=0.1)
+    limits, inertia = run.experiment.vehicle.limits, run.experiment.vehicle.mass.yaw_kg_m2
+    by_moment_s, by_rate_s = 2.0 * math.sqrt(3.0 * inertia / limits.wrench[2]), 3.0 / limits.yaw_rate_radps
+    if turns:
+        assert least_s < some_s < most_s and max(by_moment_s, by_rate_s) < most_s - least_s < 1.01 * (by_moment_s + by_rate_s)
+    else:
+        assert some_s == most_s == least_s
+
+
+def paused_beyond(settings: Sequence[str] = (), beyond_m: float = 0.06) -> MissionRun:
+    """A mission whose robots, on a straight path at 0.1 m/s, came to rest beyond the point at which they were told to hold."""
+    run = MissionRun(automatic=False, settings=["duration_s=60", *settings])
+    time_s = 0.05 * np.arange(1200, dtype=np.float64)
+    eta, velocity = np.zeros((2, 1200, 4))
+    eta[:, 0], velocity[:, 0] = 0.1 * time_s, 0.1
+    trajectories = {r: Trajectory(f"t{r}", 0.05, eta, velocity, np.zeros_like(eta)) for r in run.experiment.robot_ids}
+    segment = PlanSegment(trajectories, trajectories[1], run.experiment.duration_s)
+    run.mission = Mission(run.experiment, segment, dict.fromkeys(run.experiment.robot_ids, np.zeros(4)), False, None)
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    run.step(2.0)
+    for robot in run.robots.values():
+        robot.trajectory_s = (run.now_ns - robot.starts_at_ns) * 1e-9
+    run.step()
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    for robot in run.robots.values():
+        robot.eta = (0.1 * robot.trajectory_s + beyond_m, 0.02, 0.0, 2.0)
+    return run
+
+
+def test_a_formation_goes_on_from_where_it_came_to_rest() -> None:
+    """A robot that stops comes to rest beyond the point of its path at which it was told to."""
+    run = paused_beyond()
+    stopped_s = run.robots[1].trajectory_s
+    run.robots[2].eta = (0.1 * stopped_s + 0.03, 0.02, 0.0, 2.0)
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    goes_on = {robot.got[-1].trajectory_s - stopped_s for robot in run.robots.values()}
+    assert len(goes_on) == 1 and goes_on.pop() == pytest.approx(0.45, abs=0.06)  # between 0.6 and 0.3 s
+
+
+def test_a_formation_loses_no_pace_while_its_robots_turn_to_their_paths() -> None:
+    run = paused_beyond(["mission.wait_from_m=0.01", "mission.wait_at_m=0.02"])
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    began_ns = run.robots[1].starts_at_ns
+    while run.now_ns < began_ns - STEP_NS:
+        run.step()
+        assert run.mission.governor.lag_s == 0.0 and run.mission.governor.rate == 1.0
+    run.step(2.0)
+    assert run.mission.governor.lag_s > 0.0
 
 
 def test_time_zero_of_a_flight_stays_when_it_is_held_resumed_and_brought_home_and_is_new_with_a_new_start() -> None:

@@ -477,6 +477,18 @@ def test_a_camera_file_that_cannot_be_used_is_named(tmp_path: Path, content: str
         load_experiment(str(tmp_path / "pool.toml"))
 
 
+def test_a_file_that_a_setting_names_is_looked_for_where_the_person_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`sim-bridge numeric numeric --set vehicle=mine.toml`: not beside the scene's file, where no person puts one."""
+    own = load_experiment("pool").vehicle.model_dump(mode="json", exclude_none=True) | {"name": "mine"}
+    (tmp_path / "mine.toml").write_text(tomli_w.dumps(own), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert load_experiment("numeric", ["vehicle=mine.toml"]).vehicle.name == "mine"
+    heavy = load_experiment("pool", ['vehicle={like="mine.toml", mass={surge_kg=13.0}}']).vehicle
+    assert heavy.name == "mine" and heavy.mass.surge_kg == 13.0
+
+
 def test_a_camera_has_no_shipped_names() -> None:
     with pytest.raises(ConfigError, match=r"--set camera=lab: camera = 'lab': must be a table, or a path ending in \.toml"):
         load_experiment("pool", ["camera=lab"])

@@ -186,7 +186,9 @@ def test_flights_are_kept_elsewhere_where_the_disk_does_not_take_them(tmp_path: 
     assert [variant.name for variant in Comparison.from_json(kept.read_text()).variants] == ["nmpc"]
 
 
-def test_an_interrupted_comparison_keeps_the_seeds_that_all_flew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_comparison_keeps_the_seeds_that_all_have_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     flights: list[Future[Any]] = []
 
     def press_ctrl_c() -> None:

@@ -12,13 +12,13 @@ const place = signal("0, 0");
 interface Fault {
   text: string;
   title: string;
-  words(robot: number): string;
+  words(robot: number, output: number): string;
   ofRobot: boolean;
 }
 
 const FAULTS: Fault[] = [
-  { text: "Kill thruster", title: "it gives no thrust any more", words: (robot) => `thruster ${robot}/${thruster.value} dead`, ofRobot: true },
-  { text: "Weaken thruster", title: "it gives half of its thrust", words: (robot) => `thruster ${robot}/${thruster.value} weak 0.5`, ofRobot: true },
+  { text: "Kill thruster", title: "it gives no thrust any more", words: (robot, output) => `thruster ${robot}/${output} dead`, ofRobot: true },
+  { text: "Weaken thruster", title: "it gives half of its thrust", words: (robot, output) => `thruster ${robot}/${output} weak 0.5`, ofRobot: true },
   { text: "Hide marker", title: "the plate is gone from its back", words: (robot) => `marker ${robot} lost`, ofRobot: true },
   { text: "Cut board link", title: "nothing passes between its computer and its thruster board", words: (robot) => `link ${robot} cut`, ofRobot: true },
   { text: "Kill radio", title: "nothing passes between its computer and the fleet: no pose, no plan, no request", words: (robot) => `radio ${robot} dead`, ofRobot: true },
@@ -42,6 +42,7 @@ export function Faults() {
   const [state, s] = [shown.value, scene.value];
   if (state === null || s === null || s.mode === "replay" || ended.value || !state.present.includes("sim-bridge")) return null;
   const robot = selected.value || s.robots[0]!.id;
+  const output = s.outputs.includes(thruster.value) ? thruster.value : s.outputs[0]!;
   const possible = connected.value && inControl.value;
   const seconds = during.value.trim() === "" ? "" : ` for ${during.value.trim()}`;
   const make = (words: string) => order("fault", [], 0, words + seconds);
@@ -55,8 +56,8 @@ export function Faults() {
       <div class="form">
         <label>
           thruster of robot {robot}
-          <select value={thruster.value} onChange={(event) => (thruster.value = Number(event.currentTarget.value))} aria-label="Which thruster breaks">
-            {[1, 2, 3, 4].map((k) => (
+          <select value={output} onChange={(event) => (thruster.value = Number(event.currentTarget.value))} aria-label="Which thruster breaks">
+            {s.outputs.map((k) => (
               <option key={k}>{k}</option>
             ))}
           </select>
@@ -68,7 +69,7 @@ export function Faults() {
       </div>
       <div class="orders">
         {FAULTS.map(({ text, title, words, ofRobot }) => (
-          <button key={text} type="button" class="order" disabled={!possible} title={title} onClick={() => make(words(robot))}>
+          <button key={text} type="button" class="order" disabled={!possible} title={title} onClick={() => make(words(robot, output))}>
             {text}
             {ofRobot && ` ${robot}`}
           </button>

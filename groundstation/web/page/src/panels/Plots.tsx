@@ -135,7 +135,8 @@ function Plot({ slot }: { slot: number }) {
       return [times, ...chart.curves.map((curve) => column(chart, curve, chosen))];
     };
     const many = chart.curves.length > 8;
-    const size = () => ({ width: box.clientWidth, height: Math.max(80, box.clientHeight - (many ? 2 : 24)) });
+    const legend = () => box.querySelector<HTMLElement>(".u-legend")?.offsetHeight ?? 20;
+    const size = () => ({ width: box.clientWidth, height: Math.max(80, box.clientHeight - (many ? 2 : legend() + 4)) });
     const plot = new uPlot({ ...options(s, chart, size().width, size().height), ...(many ? { legend: { show: false } } : {}) }, data(), box);
     drawn.current = plot;
     const rescale = (what = view.peek()) => {
@@ -155,6 +156,7 @@ function Plot({ slot }: { slot: number }) {
     }, many ? MANY_EVERY_MS : DRAW_EVERY_MS);
     const watch = new ResizeObserver(() => plot.setSize(size()));
     watch.observe(box);
+    if (!many) watch.observe(plot.root.querySelector(".u-legend")!); // it takes a second line where curves have long names
     return () => {
       clearInterval(timer);
       forget();
