@@ -92,6 +92,7 @@ def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolE
             if best is trial:
                 console.print(f"{law}, trial {len(trials)} of {budget}: cost {trial.cost:.3f}", soft_wrap=True)
     except (Exception, KeyboardInterrupt) as error:
+        pool.shutdown(wait=False, cancel_futures=True)
         if not trials:
             raise
         cut_short = INTERRUPTED if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"

@@ -5,8 +5,9 @@ import math
 import os
 import subprocess
 import tempfile
+import time
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from itertools import pairwise
@@ -29,7 +30,6 @@ from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.flights.scene_flights import flown_once
 from tests.forked import ended
 from tests.planted import executed, installed, plant
-from tests.sim_bridge.studies.interrupted_flights import WatchedPool
 
 pytestmark = pytest.mark.long
 
@@ -189,13 +189,27 @@ def test_flights_are_kept_elsewhere_where_the_disk_does_not_take_them(tmp_path: 
 def test_an_interrupted_comparison_keeps_the_seeds_that_all_have_flown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    flights: list[Future[Any]] = []
+
+    def press_ctrl_c() -> None:
+        raise KeyboardInterrupt
+
     def fly_until_interrupted(task: FlightTask) -> FlightRecord:
-        if task.seed == 2:
-            WatchedPool.interrupt()
+        while task.seed == 2 and not (len(flights) == 4 and flights[3].cancelled()):
+            time.sleep(0.01)
         return fly(task)
 
+    class InterruptedWait(ThreadPoolExecutor):
+        def submit(self, *call: Any, **options: Any) -> Future[Any]:
+            flights.append(super().submit(*call, **options))
+            if len(flights) == 3:
+                waits = flights[2].exception
+                answers = iter((press_ctrl_c, waits))
+                monkeypatch.setattr(flights[2], "exception", lambda: next(answers, waits)())
+            return flights[-1]
+
     monkeypatch.setattr(comparison, "fly", fly_until_interrupted)
-    monkeypatch.setattr(comparison, "worker_pool", WatchedPool)
+    monkeypatch.setattr(comparison, "worker_pool", InterruptedWait)
     screen = io.StringIO()
     console = Console(file=screen, width=200)
     assert comparison.run("numeric", ["duration_s=20.5"], ["pid", "lqr"], [1, 2], 0.0, 1, tmp_path, console) == 1

@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -19,7 +19,6 @@ from sim_bridge.__main__ import cli
 from sim_bridge.studies import gain_tuning
 from sim_bridge.studies.comparison import FlightTask
 from sim_bridge.studies.gain_tuning import WEAR, TuningResult, cost, search, values, with_gains
-from tests.sim_bridge.studies.interrupted_flights import WatchedPool
 
 FEEDBACK = [law.replace("-", "_") for law in get_args(LawName) if law not in ("eso-mpc-article", "nmpc")]
 CONTROLLER = load_experiment("pool").controller
@@ -147,13 +146,17 @@ def test_an_interrupted_search_prints_its_best_gains_and_goes_on_with_no_other_l
     tried: list[float] = []
 
     def fly_until_interrupted(task: FlightTask) -> FlightRecord:
-        if len(tried) == 1:
-            WatchedPool.interrupt()
         tried.append(task.experiment.controller.pid.guidance_per_s2)
         return FlightRecord(task.seed, GOOD, None, None)
 
+    class InterruptedMap(ThreadPoolExecutor):
+        def map(self, *call: Any, **options: Any) -> Any:
+            if tried:
+                raise KeyboardInterrupt
+            return super().map(*call, **options)
+
     monkeypatch.setattr(gain_tuning, "fly", fly_until_interrupted)
-    monkeypatch.setattr(gain_tuning, "worker_pool", WatchedPool)
+    monkeypatch.setattr(gain_tuning, "worker_pool", InterruptedMap)
     command = ["tune", "--laws", "pid,lqr", "--scenes", "numeric-disturbed", "--budget", "12", "--jobs", "1"]
     done = CliRunner().invoke(cli, command)
     assert done.exit_code == 1, done.output
