@@ -7,7 +7,7 @@ on both clocks: a machine that simulates half a second a second has then had its
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from shoal.bus.bus import Inbox, Received
 from shoal.messages.messages import StationHeartbeat
@@ -66,21 +66,26 @@ class FleetTime:
         return None if simulated_s is None else self._meter.add(simulated_s, time.monotonic())
 
 
+class _ClockReading(NamedTuple):
+    simulated_s: float
+    wall_s: float
+
+
 class PaceMeter:
     """Measures how fast simulated time goes."""
 
     def __init__(self) -> None:
-        self._readings: deque[tuple[float, float]] = deque()  # (simulated, wall clock) in s, of the last WINDOW_S
+        self._readings: deque[_ClockReading] = deque()  # of the last WINDOW_S
 
     def add(self, simulated_s: float, now_s: float) -> float | None:
         """Add a reading of both clocks. Returns simulated seconds per second over the last WINDOW_S; None before that is
         known."""
         readings = self._readings
-        readings.append((simulated_s, now_s))
-        while len(readings) > 2 and readings[1][1] <= now_s - WINDOW_S:
+        readings.append(_ClockReading(simulated_s, now_s))
+        while len(readings) > 2 and readings[1].wall_s <= now_s - WINDOW_S:
             readings.popleft()
-        took_s = now_s - readings[0][1]
-        return (simulated_s - readings[0][0]) / took_s if took_s >= SETTLED_S else None
+        took_s = now_s - readings[0].wall_s
+        return (simulated_s - readings[0].simulated_s) / took_s if took_s >= SETTLED_S else None
 
 
 def pace_in_words(pace: float, share: float | None) -> str:

@@ -7,6 +7,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -178,16 +179,26 @@ def subscribe_fleet(bus: Bus, robots: tuple[int, ...]) -> FleetInboxes:
     )
 
 
+class Problem(NamedTuple):
+    """A failed check. `level`: critical, warning, notice (as an alarm)."""
+
+    key: str
+    level: str
+    text: str
+    remedy: str = ""
+    blocks_arming: bool = False
+
+
 @dataclass(frozen=True)
 class Finding:
-    """A failed check of one robot. `level`: critical, warning, notice (as an alarm)."""
+    """A failed check of one robot, with the fields of `Problem`."""
 
     robot: int
     key: str
     level: str
-    blocks_arming: bool
     text: str
     remedy: str
+    blocks_arming: bool
 
     @property
     def message(self) -> str:
@@ -199,160 +210,200 @@ def findings(experiment: Experiment, robot: int, view: RobotView, start: Array |
     """Failed checks of one robot. `start`: the pose (4,) in which it should begin; None once it has begun."""
     state = view.state
     if view.out:
-        return (Finding(robot, "out", "notice", False, "out of the water", f"groundstation mission back-in --robot {robot}"),)
+        return (
+            Finding(robot, *Problem("out", "notice", "out of the water", f"groundstation mission back-in --robot {robot}")),
+        )
     if state is None or not view.heard:
         has_state = state is not None
         text = f"not heard for {view.state_age_s:.1f} s" if has_state else "not heard"
         level = "critical" if has_state else "warning"
-        return (Finding(robot, "silent", level, True, text, f"start its agent (robot-agent run ... --robot {robot})"),)
-    problems = [Finding(robot, *finding) for check in CHECKS for finding in check(experiment, view, state)]
+        remedy = f"start its agent (robot-agent run ... --robot {robot})"
+        return (Finding(robot, *Problem("silent", level, text, remedy, blocks_arming=True)),)
+    problems = [problem for check in CHECKS for problem in check(experiment, view, state)]
     if start is not None:
-        problems += [Finding(robot, *finding) for finding in _start(experiment, state, start)]
-    return tuple(problems)
+        problems += _start(experiment, state, start)
+    return tuple(Finding(robot, *problem) for problem in problems)
 
 
-FindingFields = Iterator[tuple[str, str, bool, str, str]]  # key, level, blocks_arming, text, remedy
-
-
-def _experiment(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _experiment(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Findings about the agent's experiment and code: others than the station's."""
     if state.experiment_hash != experiment.hash:
         text = f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})"
         same = "start its agent with this run's experiment.toml"
-        yield "experiment", "critical", True, text, DEPLOY if view.other_code else same
+        yield Problem("experiment", "critical", text, DEPLOY if view.other_code else same, blocks_arming=True)
     if view.other_code:
-        yield "code", "warning", False, view.other_code, DEPLOY
+        yield Problem("code", "warning", view.other_code, DEPLOY)
 
 
-def _pose_senders(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _pose_senders(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Findings by which no robot flies on: its poses may be another robot's, or those of a camera that hangs elsewhere."""
     if view.localizer_hash not in ("", experiment.hash):
         text = f"its poses are by another experiment ({view.localizer_hash[:8]}, here {experiment.hash[:8]})"
-        yield "localizer", "critical", True, text, "start the localizer with this run's experiment.toml"
+        yield Problem("localizer", "critical", text, "start the localizer with this run's experiment.toml", blocks_arming=True)
     if view.two_pose_senders:
         remedy = "end one: a localizer, or a simulator that was left running"
-        yield "poses", "critical", True, "two programs publish its poses by turns", remedy
+        yield Problem("poses", "critical", "two programs publish its poses by turns", remedy, blocks_arming=True)
 
 
 def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
     """Reason why these robots may not fly by their poses, with the remedy; empty if they may."""
     for robot in robots:
         view = fleet[robot]
-        for *_, text, remedy in _pose_senders(experiment, view, view.state) if view.state is not None else ():
-            return f"robot {robot}: {text} ({remedy})"
+        for problem in _pose_senders(experiment, view, view.state) if view.state is not None else ():
+            return f"robot {robot}: {problem.text} ({problem.remedy})"
     return ""
 
 
-def _pose(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def blind_robots(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
+    """Those of these robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are
+    none, or if they may fly all the same (mission.blind)."""
+    reasons = {r: state.blind for r in robots if (state := fleet[r].state) is not None and state.blind}
+    if not reasons or experiment.mission.blind != "hold":
+        return ""
+    return f"robot{'s' if len(reasons) > 1 else ''} {', '.join(map(str, reasons))} blind: {next(iter(reasons.values()))}"
+
+
+def _pose(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Findings about the robot's newest pose: old, lost, or of an unverified marker."""
     pose, limit_s = view.pose, topics.POSE.max_age_in(experiment.safety)
     if pose is None or view.pose_age_s > limit_s:
         age = "none yet" if pose is None else f"{view.pose_age_s:.1f} s old"
-        yield "pose", "warning", True, f"no fresh pose ({age})", "is the localizer running, the robot in the picture?"
+        yield Problem(
+            "pose",
+            "warning",
+            f"no fresh pose ({age})",
+            "is the localizer running, the robot in the picture?",
+            blocks_arming=True,
+        )
     elif pose.track < Track.KCF:
-        yield "pose", "warning", True, f"pose is {pose.track.name}", "move it where the camera sees it; look for glare"
+        yield Problem(
+            "pose",
+            "warning",
+            f"pose is {pose.track.name}",
+            "move it where the camera sees it; look for glare",
+            blocks_arming=True,
+        )
     elif experiment.localizer.markers and not pose.identity_verified:
-        yield "identity", "warning", True, f"pose is {pose.track.name}, identity not verified", "let the camera see its marker"
+        yield Problem(
+            "identity",
+            "warning",
+            f"pose is {pose.track.name}, identity not verified",
+            "let the camera see its marker",
+            blocks_arming=True,
+        )
 
 
-def _board(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _board(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Findings about the thruster board: silence, lost messages, depth, battery."""
     age_ms, board = state.timing.board_age_ms, state.board
     if board is None or age_ms is None:
-        yield "board", "critical", True, "thruster board not heard", "check its cable and power"
+        yield Problem("board", "critical", "thruster board not heard", "check its cable and power", blocks_arming=True)
         return
     if age_ms > topics.STATE.max_age_s * 1e3:
-        yield "board", "critical", True, f"thruster board silent for {age_ms * 1e-3:.1f} s", "check its cable and power"
+        yield Problem(
+            "board",
+            "critical",
+            f"thruster board silent for {age_ms * 1e-3:.1f} s",
+            "check its cable and power",
+            blocks_arming=True,
+        )
         return
     if board.loss > LOSSY:
         text = f"{board.loss:.0%} of the board's messages are lost"
-        yield "loss", "warning", True, text, "check the cable between computer and board"
+        yield Problem("loss", "warning", text, "check the cable between computer and board", blocks_arming=True)
     depth_m = experiment.pool.size_m[2]
     if experiment.pool.walls and not -DEPTH_SLACK_M <= board.depth_m <= depth_m + DEPTH_SLACK_M:
         text = f"depth {board.depth_m:.2f} m in a basin of {depth_m:g} m"
-        yield "depth", "warning", True, text, "check its pressure sensor, or its zero"
+        yield Problem("depth", "warning", text, "check its pressure sensor, or its zero", blocks_arming=True)
     battery = experiment.vehicle.battery
     if board.battery_v <= 0.0:  # the default: the board tells its voltage a second after its first word
-        yield (
-            "battery",
-            "warning",
-            True,
-            "battery not heard yet",
-            "wait a second; if it lasts, check the board",
+        yield Problem(
+            "battery", "warning", "battery not heard yet", "wait a second; if it lasts, check the board", blocks_arming=True
         )
     elif board.battery_v < battery.no_arm_v:
         text = f"battery {board.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
-        yield "battery", "critical", True, text, "charge it"
+        yield Problem("battery", "critical", text, "charge it", blocks_arming=True)
     elif board.battery_v < battery.warn_v:
-        yield "battery", "warning", False, f"battery {board.battery_v:.1f} V", "charge it soon"
+        yield Problem("battery", "warning", f"battery {board.battery_v:.1f} V", "charge it soon")
 
 
-def _link(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _link(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Findings about the radio link: lost messages, and a clock that is off."""
     if view.loss > LOSSY:
-        yield "link", "warning", True, f"{view.loss:.0%} of its messages are lost", "check the radio link"
+        yield Problem(
+            "link", "warning", f"{view.loss:.0%} of its messages are lost", "check the radio link", blocks_arming=True
+        )
     limit_ms, offset_s = experiment.mission.clock_offset_ms, view.clock_offset_s
     if abs(offset_s) > limit_ms * 1e-3:
         how = "ahead of" if offset_s > 0 else "behind"
         text = f"its clock is {abs(offset_s) * 1e3:.0f} ms {how} the station's"
-        yield "clock", "notice", True, text, f"synchronise both (chrony), and start its agent again; allowed: {limit_ms:g} ms"
+        yield Problem(
+            "clock",
+            "notice",
+            text,
+            f"synchronise both (chrony), and start its agent again; allowed: {limit_ms:g} ms",
+            blocks_arming=True,
+        )
 
 
-def _mode(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _mode(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Findings about the robot's own state: stopped, in trouble, an old plan, thrusters not tested."""
     if state.mode in (Mode.STOPPED, Mode.FAULT):
         remedy = "clear the stop" if state.mode is Mode.STOPPED else "disarm it, and look for the cause"
-        yield "mode", "critical", True, f"{state.mode.name.lower()}: {state.fault}", remedy
+        yield Problem("mode", "critical", f"{state.mode.name.lower()}: {state.fault}", remedy, blocks_arming=True)
     elif state.fault:
-        yield "fault", "warning", False, state.fault, ""
+        yield Problem("fault", "warning", state.fault)
     flies = state.mode in (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
     if flies and topics.PLAN.max_age_in(experiment.safety) < view.plan_age_s < float("inf"):
-        yield "plan", "warning", False, f"its plan is {view.plan_age_s:.1f} s old", "others give it room"
+        yield Problem("plan", "warning", f"its plan is {view.plan_age_s:.1f} s old", "others give it room")
     if experiment.mission.thruster_test and not flies and state.thruster_test != "passed":
         text = f"thruster test: {state.thruster_test or 'not done'}"
-        yield "thrusters", "notice", True, text, "groundstation mission test"
+        yield Problem("thrusters", "notice", text, "groundstation mission test", blocks_arming=True)
 
 
-def _gains(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _gains(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Finding about gains that are not the fleet's."""
     if view.other_gains:
-        yield "gains", "warning", True, "has other gains than the fleet", "wait: the station gives it the fleet's"
+        yield Problem(
+            "gains", "warning", "has other gains than the fleet", "wait: the station gives it the fleet's", blocks_arming=True
+        )
 
 
-def _lag(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _lag(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Finding about a robot that is not at its place in the formation's time."""
     if abs(view.behind_s) > OUT_OF_STEP_S:
         how = "behind" if view.behind_s > 0.0 else "ahead of"
         text = f"is {abs(view.behind_s):.1f} s {how} the others"
-        yield "step", "critical", False, text, "all hold, and go on together when resumed; is its clock steady?"
+        yield Problem("step", "critical", text, "all hold, and go on together when resumed; is its clock steady?")
 
 
-def _control(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _control(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Findings about the control step: a failed solver, a slow step, a plan too near another robot."""
     control, step_us = state.control, state.timing.step_us
     if control is not None and control.solve is Solve.FAILED:
-        yield "solve", "critical", False, "the solver failed: neutral", ""
+        yield Problem("solve", "critical", "the solver failed: neutral")
     elif control is not None and control.solve is Solve.SHIFTED:
-        yield "solve", "notice", False, "an old plan is flown on", ""
+        yield Problem("solve", "notice", "an old plan is flown on")
     if step_us * 1e-6 > LATE_SHARE * experiment.controller.period_s:
-        yield "late", "notice", False, f"control step takes {step_us * 1e-3:.0f} ms", ""
+        yield Problem("late", "notice", f"control step takes {step_us * 1e-3:.0f} ms")
     if control is not None and control.slack_m > CLOSE_M:
-        yield "close", "warning", False, f"its plan enters another robot's space by {control.slack_m * 1e3:.0f} mm", ""
+        yield Problem("close", "warning", f"its plan enters another robot's space by {control.slack_m * 1e3:.0f} mm")
 
 
-def _sight(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+def _sight(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
     """Finding about a robot that is not told of obstacles."""
     if state.blind:
         remedy = "is the localizer running? It learns anew by itself, in some seconds, when light and camera stay as they are"
-        yield "blind", "warning", experiment.mission.blind == "hold", f"blind: {state.blind}", remedy
+        yield Problem("blind", "warning", f"blind: {state.blind}", remedy, blocks_arming=experiment.mission.blind == "hold")
 
 
-CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], FindingFields], ...] = (
+CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], Iterator[Problem]], ...] = (
     _mode, _experiment, _board, _pose_senders, _pose, _sight, _link, _gains, _lag, _control,
 )  # fmt: skip
 
 
-def _start(experiment: Experiment, state: RobotState, start: Array) -> FindingFields:
+def _start(experiment: Experiment, state: RobotState, start: Array) -> Iterator[Problem]:
+    """Finding about a robot that is away from the pose in which it should begin."""
     if state.estimate is None:
         return
     away_m = float(np.hypot(*(state.estimate.eta[:2] - start[:2])))
@@ -360,7 +411,9 @@ def _start(experiment: Experiment, state: RobotState, start: Array) -> FindingFi
     fresh = age_ms is not None and age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3
     if fresh and away_m > experiment.mission.start_within_m:
         text = f"is {away_m:.2f} m from its start ({start[0]:.2f}, {start[1]:.2f}) m"
-        yield "start", "notice", True, text, "bring it there, or Return to start (groundstation mission return)"
+        yield Problem(
+            "start", "notice", text, "bring it there, or Return to start (groundstation mission return)", blocks_arming=True
+        )
 
 
 def blocking_findings(

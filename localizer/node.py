@@ -207,6 +207,7 @@ class LocalizerNode:
         attitudes: dict[int, Attitude],
         poses: tuple[tuple[int, Pose], ...],
     ) -> None:
+        """Give the recorder a frame, with what was known and what was published."""
         if self._outlets.recorder is not None:
             attitude_values = {robot: astuple(attitude) for robot, attitude in attitudes.items()}
             published = {robot: encode(pose) for robot, pose in poses}

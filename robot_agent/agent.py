@@ -168,6 +168,7 @@ class Agent:
             self._enter(target, self._fault if target is Mode.STOPPED else "")
 
     def _enter(self, mode: Mode, fault: str) -> None:
+        """Enter a mode, and drop what belongs to the others."""
         if mode is not Mode.HOLDING:
             self._hold = None
         if mode is not Mode.DRIVEN:
@@ -204,7 +205,8 @@ class Agent:
         drive_age_s = (now_ns - self._driven[1]) * 1e-9 if self._driven is not None else 0.0
         health = self._health.health(inputs, solver_failed, now_ns, drive_age_s)
         mode, reason = react(self.mode, health, self._experiment.safety)
-        if reason.partition(":")[0] in SUSPECT and self._selftest is not None and self._selftest.result == "passed":
+        in_doubt = reason.partition(":")[0] in SUSPECT or inputs.board.objection  # the latter: it may be another board
+        if in_doubt and self._selftest is not None and self._selftest.result == "passed":
             self._selftest = None
         if mode is not self.mode:
             self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))
@@ -345,6 +347,7 @@ class Agent:
         return blindness(watched.obstacles, (now_ns - watched.instant_ns) * 1e-9)
 
     def _plan(self, output: ControlOutput, fresh_robots: tuple[int, ...], adrift: bool) -> Plan:
+        """The plan for the neighbours, from what the controller has computed."""
         return Plan(
             self.controller.plan_period_s,
             output.plan_eta,

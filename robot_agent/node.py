@@ -240,6 +240,7 @@ class AgentNode:
         return reply
 
     def _obey(self, header: Header, command: Command, prepared: Prepared | None) -> Reply:
+        """Carry out a command, record it with its reply, and wake the loop if the robot loses its power."""
         # Where time waits, the station may have begun a step that we have not: a command of that step is given in it.
         now_ns = max(self.clock.now_ns(), self.clock.arrival_ns(header.stamp_ns))
         heartbeat = self._station()
@@ -269,17 +270,21 @@ class AgentNode:
         return record, self.agent.step(inputs_of(record, messages, message, now_ns), now_ns)
 
     def _note_board(self, now_ns: int) -> Telemetry:
-        """Return the board's telemetry, with what else is known of its depth zero and its parameters. In lockstep these are
-        the simulator's, of the same experiment. Pass a person's word about the zero on."""
+        """Return the board's telemetry, with the objection to arming that follows from it ("" for none).
+
+        Before that, correct the depth zero, and send the board requests: for its parameters, and a person's for a new zero. A
+        robot with power is sent none, and none is sent in lockstep: its board is the simulator's, of the same experiment.
+        """
         zero_m = self._zero.note(self.mavlink.telemetry)
         if zero_m is not None:
             self.mavlink.set_zero(zero_m)
         if self.clock.waits:
             return self.mavlink.telemetry
-        request, has_power = self._parameters.step(self.mavlink, now_ns * 1e-9), self.agent.mode in LIVE
-        request += self._zero_requests.step(self.mavlink, has_power)
-        if request and not has_power:
-            self.link.send(request)
+        has_power = self.agent.mode in LIVE
+        requests = self._parameters.step(self.mavlink, now_ns * 1e-9)
+        requests += self._zero_requests.step(self.mavlink, has_power)
+        if requests and not has_power:
+            self.link.send(requests)
         objection = self._parameters.objection
         if not objection and not self.mavlink.telemetry.echo_us:
             objection = "the thruster board does not report its outputs: a thruster that turns by itself would go unnoticed"
@@ -310,6 +315,7 @@ class AgentNode:
     # --- pace: when a step is due
 
     def _wall_pace(self) -> "Iterator[StepTime]":
+        """Times of the control steps by the wall clock, each when it is due."""
         pace = self._pace = StepClock(self._experiment.controller.period_s, time.monotonic())
         taken: Received[Pose] | None = None
         while not self.stop.requested:

@@ -94,6 +94,7 @@ def with_reply(record: CommandTaken, reply: Reply) -> CommandTaken:
 
 
 def _seen(clock: Clock, pose: Received[Pose] | None) -> dict[str, Any]:
+    """Fields of the record for a pose."""
     if pose is None:
         return {}
     return {
@@ -104,6 +105,7 @@ def _seen(clock: Clock, pose: Received[Pose] | None) -> dict[str, Any]:
 
 
 def _station(clock: Clock, heartbeat: Received[StationHeartbeat] | None) -> dict[str, Any]:
+    """Fields of the record for the station's heartbeat."""
     if heartbeat is None:
         return {"heartbeat": None}
     return {

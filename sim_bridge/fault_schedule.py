@@ -38,6 +38,16 @@ class LinkFaults:
     loss: float = 0.0  # fraction lost; the same fraction is duplicated, and the same is overtaken by later datagrams
     delay_s: float = 0.0
 
+    def with_effect(self, broken: Break) -> "LinkFaults":
+        """These and another fault."""
+        match broken.effect:
+            case "cut":
+                return replace(self, cut=True)
+            case "noisy":
+                return replace(self, loss=broken.value)
+            case _:
+                return replace(self, delay_s=broken.value)
+
 
 @dataclass(frozen=True)
 class ImuFaults:
@@ -102,14 +112,16 @@ class FaultSchedule:
         return f"before the start{during} {what}" if for_s and time_s < 0.0 else f"t={max(time_s, 0.0):.3f}{during} {what}"
 
     def quiet_steps(self, time_s: float, step_s: float, most: int, plant_s: float = 0.0) -> int:
-        """Plant steps from `time_s` to the first instant of a step at which a fault begins or ends; 1 to `most`."""
+        """Number of plant steps, 1 to `most`, before the next fault begins or ends. `time_s` is along the trajectories, as the
+        experiment's faults are; `plant_s` is the plant's, as those of a person are."""
         if not (self._faults or self._by_hand):
             return most
-        begins = [fault.at_s for fault in self._faults]
-        ends = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
-        left_s = [change_s - time_s for change_s in (*begins, *ends)] + [over_s - plant_s for _, over_s in self._by_hand]
-        change_s = min((left for left in left_s if left > 0.0), default=math.inf)
-        return most if change_s >= most * step_s else max(math.ceil((change_s - ROUNDING_S) / step_s), 1)
+        begins_s = [fault.at_s for fault in self._faults]
+        ends_s = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
+        until_s = [change_s - time_s for change_s in (*begins_s, *ends_s)]
+        until_s += [over_s - plant_s for _, over_s in self._by_hand]
+        next_s = min((left_s for left_s in until_s if left_s > 0.0), default=math.inf)
+        return most if next_s >= most * step_s else max(math.ceil((next_s - ROUNDING_S) / step_s), 1)
 
     def pulses(self, pulses_us: Array) -> Array:
         """The pulses (n, 8) that thrusters get, from those on the boards' outputs: a stuck one keeps its last."""
@@ -151,9 +163,7 @@ class FaultSchedule:
         self.without_radio = frozenset(b.robot for _, b in self._of("radio"))
         self.links = [LinkFaults()] * n
         for i, b in self._of("link"):
-            old, is_noisy, is_slow = self.links[i], b.effect == "noisy", b.effect == "slow"
-            loss, delay_s = b.value if is_noisy else old.loss, b.value if is_slow else old.delay_s
-            self.links[i] = LinkFaults(old.cut or b.effect == "cut", loss, delay_s)
+            self.links[i] = self.links[i].with_effect(b)
 
 
 def is_among(broken: Break, kinds: tuple[str, ...]) -> bool:

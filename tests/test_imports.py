@@ -90,7 +90,6 @@ PARTS: dict[str, dict[str, set[str]]] = {
     },
     "sim_bridge": {
         "fault_schedule": set(),
-        "ways_to_fly": set(),
         "lockstep": set(),
         "replay": set(),
         "plant": {"fault_schedule"},

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from shoal.messages import codec, topics
 from shoal.messages.messages import Message
-from shoal.messages.topics import TOPICS, Qos, Topic
+from shoal.messages.topics import EVERYONE, TOPICS, Qos, Topic
 
 HEAD = """# Messages and topics
 
@@ -50,7 +50,7 @@ def _topic_row(topic: Topic) -> str:
     age = f"{topic.max_age_s:g} s" if math.isfinite(topic.max_age_s) else "never"
     name = topic.type.__name__
     cells = (
-        f"`{topic.name}`{'' if topic.recorded else '*'}{'' if topic.audience == 'everyone' else '†'}",
+        f"`{topic.name}`{'' if topic.recorded else '*'}{'' if topic.readers == EVERYONE else '†'}",
         name,
         topic.publisher,
         rate,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from tools import evidence, keys, laws, messages, proto, tables, typescript
 
-GENERATORS = (keys, messages, proto, tables, typescript, evidence, laws, typescript)
+GENERATORS = (keys, messages, proto, tables, typescript, evidence, laws)
 
 
 def files() -> dict[Path, str]:

@@ -2,10 +2,10 @@
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from robot_agent.safety import guidance_states, modes
 from shoal.config.experiment import load_experiment
-from sim_bridge import ways_to_fly
 from sim_bridge.thruster_board.parameters import FIXED, Parameters
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
@@ -23,7 +23,7 @@ A robot with power is in one guidance state. In each state exactly one thing dec
 time in which a robot can turn round and stop, 3.5 s for `spherical`.
 
 """
-WAYS = "<!-- ways to fly: written by `make docs` -->\n"
+WAYS_MARK = "<!-- ways to fly: written by `make docs` -->\n"
 PARAMETERS = """# Parameters of a thruster board
 
 Written by `make docs` from `sim_bridge/thruster_board/parameters.py`; edit that. "Here" is the value for `pool`.
@@ -49,12 +49,60 @@ def _parameters() -> str:
     return PARAMETERS + "".join(rows) + CURVE
 
 
+class WayToFly(NamedTuple):
+    """One way to fly: its command, and what stands in place of each part of a pool."""
+
+    command: str
+    localizer: str
+    station: str
+    agents: str
+    boards: str
+    network: str
+    time: str
+    same_bits: bool  # the same seed gives the same bits, on one machine with one set of packages
+
+
+RUNS, IN_MEMORY = "real", "real, in this process"
+WAYS = (
+    WayToFly(
+        "sim-bridge sil NAME --real-time", RUNS, RUNS, RUNS, "simulated, MAVLink", "Zenoh",
+        "wall clock", False,
+    ),
+    WayToFly(
+        "sim-bridge sil NAME", RUNS, RUNS, RUNS, "simulated, MAVLink", "Zenoh",
+        "simulated", True,
+    ),
+    WayToFly(
+        "sim-bridge sil NAME --one-process", IN_MEMORY, IN_MEMORY, IN_MEMORY, "simulated, MAVLink in memory", "none",
+        "simulated", True,
+    ),
+    WayToFly(
+        "sim-bridge numeric NAME", "none: true poses with noise", "planner alone", "control step",
+        "none", "none", "simulated", True,
+    ),
+    WayToFly(
+        "sim-bridge hil NAME --board 1=LINK", RUNS, RUNS, RUNS, "real, in HIL mode",
+        "Zenoh, and the board's link", "wall clock", False,
+    ),
+)  # fmt: skip
+
+
+def _ways() -> str:
+    """The table of the ways to fly."""
+    heads = ("Command", "Localizer", "Station", "Agents", "Boards", "Network", "Time", "Same seed, same bits")
+    lines = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
+    for way in WAYS:
+        command, *parts = way[:-1]
+        lines.append(f"| {' | '.join((f'`{command}`', *parts, 'yes' if way.same_bits else 'no'))} |")
+    return "\n".join(lines) + "\n"
+
+
 def files() -> dict[Path, str]:
     """The pages and their text."""
     simulator = REFERENCE.parent / "simulator.md"
-    before, _, after = simulator.read_text(encoding="utf-8").split(WAYS)
+    before, _, after = simulator.read_text(encoding="utf-8").split(WAYS_MARK)
     return {
         REFERENCE / "modes.md": MODES + modes.table() + GUIDANCE + guidance_states.table(),
-        simulator: f"{before}{WAYS}{ways_to_fly.table()}{WAYS}{after}",
+        simulator: f"{before}{WAYS_MARK}{_ways()}{WAYS_MARK}{after}",
         REFERENCE / "board-parameters.md": _parameters(),
     }

@@ -24,8 +24,8 @@ from benchmarks.harness import ROOT, Row, run_peer
 from benchmarks.localizer.following import Begin, Picture, Place, Step, Task, follow
 from localizer.detection.obstacles import ObstacleDetector
 from localizer.evaluation.runner import read_idtracker
+from localizer.evaluation.single_object import SingleObjectTracker
 from localizer.tracking.fleet_localizer import FleetLocalizer
-from localizer.tracking.single_object import SingleObjectTracker
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.scene import RobotConfig
 from shoal.frames import Array, wrap

@@ -90,6 +90,7 @@ def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
 
 
 def _of_the_end(series: Series) -> Iterator[Check]:
+    """The check of the distance from each robot's place at the end of its trajectory, if the experiment limits it."""
     limits = series.experiment.limits
     if limits.arrived_m is not None:
         ends = {robot: r.error[-1, :2] for robot, r in series.robots.items() if went_all_the_way(series)}
@@ -134,6 +135,7 @@ def _too_short(name: str, limit: float, unit: str) -> Check:
 
 
 def _worst_cell(errors: dict[str, Errors], name: str) -> tuple[str, float | None]:
+    """The largest value of a figure over subjects and axes, and where it is; None if a subject has no such figure."""
     cells = {
         f"{subject}, {axis}": value
         for subject, figures in errors.items()

@@ -11,7 +11,7 @@ A log may hold several flights. One of them is looked at: the last that was more
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,26 +159,40 @@ def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
     one flies any more."""
     parts = sorted(part for robot in robots for part in _robot_flights(_of_formation(log, robot, begins=True), robot))
-    groups: list[list[tuple[int, int, float, int]]] = []
+    groups: list[list[_RobotFlight]] = []
     for part in parts:
         here = groups[-1] if groups else []
-        if not here or part[3] in {robot for *_, robot in here} or part[0] > max(over_ns for _, over_ns, _, _ in here):
+        flew_here = any(other.robot == part.robot for other in here)
+        if flew_here or all(other.over_ns < part.begin_ns for other in here):
             groups.append([part])
         else:
             here.append(part)
-    ends = [group[0][0] for group in groups[1:]] + ([_last_stamp_ns(log) + 1] if groups else [])
+    until_ns = [group[0].begin_ns for group in groups[1:]] + [_last_stamp_ns(log) + 1]
     flights = []
-    for group, until_ns in zip(groups, ends, strict=True):
-        begin_ns, over_ns = group[0][0], max(over_ns for _, over_ns, _, _ in group)
-        flight = Flight(begin_ns, over_ns, until_ns, max(flown_s for _, _, flown_s, _ in group))
+    for k, group in enumerate(groups):
+        flight = Flight(
+            begin_ns=group[0].begin_ns,
+            over_ns=max(part.over_ns for part in group),
+            until_ns=until_ns[k],
+            flown_s=max(part.reached_s for part in group),
+        )
         home_ns = _sent_home_ns(log, flight)
-        flights.append(replace(flight, home=home_ns is not None and home_ns < begin_ns + TURNED_S * 1e9))
+        flights.append(replace(flight, home=home_ns is not None and home_ns < flight.begin_ns + TURNED_S * 1e9))
     return flights
 
 
-def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
-    """One robot's flights: stamps of the first and the last step under way, the trajectory time reached, and its number."""
-    flights: list[tuple[int, int, float, int]] = []
+class _RobotFlight(NamedTuple):
+    """One robot's part in a flight."""
+
+    begin_ns: int  # stamp of the first step under way
+    over_ns: int  # and of the last
+    reached_s: float  # of its trajectory
+    robot: int
+
+
+def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> list[_RobotFlight]:
+    """All flights of one robot. Another one begins when its trajectory clock goes back."""
+    flights: list[_RobotFlight] = []
     last_s, stood_at_begin = 0.0, False
     for e in states:
         clock_s = e.message.trajectory_s
@@ -187,9 +201,8 @@ def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> 
         elif e.message.mode is Mode.TRACKING:
             again = clock_s < last_s - BACK_S or (stood_at_begin and clock_s < min(last_s, FRESH_S))
             if not flights or again:
-                flights.append((e.stamp_ns, e.stamp_ns, clock_s, robot))
-            begin_ns, _, reached_s, _ = flights[-1]
-            flights[-1] = (begin_ns, e.stamp_ns, max(reached_s, clock_s), robot)
+                flights.append(_RobotFlight(e.stamp_ns, e.stamp_ns, clock_s, robot))
+            flights[-1] = flights[-1]._replace(over_ns=e.stamp_ns, reached_s=max(flights[-1].reached_s, clock_s))
             last_s, stood_at_begin = clock_s, False
     return flights
 
@@ -322,17 +335,19 @@ def _is_path(trajectory: Trajectory) -> bool:
 
 
 def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
-    """True pose and true disturbance of a robot."""
-    truths = [
-        (e.stamp_ns, e.message, e.message.robots.index(robot))
-        for e in log.of(topics.TRUTH, Truth)
-        if robot in e.message.robots
-    ]
-    truths = [(ns, m, row) for ns, m, row in truths if len(m.eta) > row]
-    stamps = [ns for ns, _, _ in truths]
-    explained = all(len(m.disturbance) > row for _, m, row in truths)
-    disturbance = [m.disturbance[row] for _, m, row in truths] if explained else []
-    return _samples(stamps, [m.eta[row] for _, m, row in truths]), _samples(stamps if explained else [], disturbance)
+    """True pose and true disturbance of a robot; no disturbance if a message has none."""
+    stamps: list[int] = []
+    poses: list[Array] = []
+    disturbances: list[Array] = []
+    for entry in log.of(topics.TRUTH, Truth):
+        truth = entry.message
+        row = truth.robots.index(robot) if robot in truth.robots else len(truth.eta)
+        if row < len(truth.eta):
+            stamps.append(entry.stamp_ns)
+            poses.append(truth.eta[row])
+            disturbances += [truth.disturbance[row]] if row < len(truth.disturbance) else []
+    has_disturbance = len(disturbances) == len(stamps)
+    return _samples(stamps, poses), _samples(stamps, disturbances) if has_disturbance else _samples([], [])
 
 
 def _located(states: Sequence[DecodedMessage[RobotState]], poses: Sequence[DecodedMessage[Pose]]) -> _Samples:
@@ -364,13 +379,15 @@ def _last_stamp_ns(log: RunLog) -> int:
 
 def _end_s(recorded: dict[int, _Recorded], flights: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
     """Time at which the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
-    ends = []
+    ends_ns = []
     for r in flights:
-        there = np.flatnonzero(r.clock_s >= duration_s - 1e-6)
+        arrived = np.flatnonzero(r.clock_s >= duration_s - 1e-6)
         moving = np.flatnonzero(np.diff(r.clock_s) > 0.0)
-        ends.append(r.clock_ns[there[0]] if len(there) else r.clock_ns[moving[-1] + 1] if len(moving) else r.clock_ns[0])
-    known_until = [r.truth.stamp_ns[-1] for r in recorded.values() if len(r.truth.stamp_ns)]
-    return max(0.0, (float(min([max(ends, default=start_ns), *known_until])) - start_ns) * 1e-9)
+        stopped = moving[-1] + 1 if len(moving) else 0
+        ends_ns.append(r.clock_ns[arrived[0] if len(arrived) else stopped])
+    known_until_ns = [r.truth.stamp_ns[-1] for r in recorded.values() if len(r.truth.stamp_ns)]
+    end_ns = float(min([max(ends_ns, default=start_ns), *known_until_ns]))
+    return max(0.0, (end_ns - start_ns) * 1e-9)
 
 
 def _robot_series(

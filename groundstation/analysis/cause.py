@@ -5,6 +5,7 @@ fault that did not heal by itself, the station's reason for the end, the require
 """
 
 import math
+import re
 
 import numpy as np
 
@@ -25,7 +26,11 @@ ACTS = {  # the station's lines for what a person does to end a flight (groundst
     "RETURN asked for": "sent the fleet back to the start",
     "interrupted: Ctrl-C in the terminal": "interrupted the program (Ctrl-C)",
 }
+LED = re.compile(r"mission: .*\b(robot \d+): led by a person")  # the station's line for a robot that leaves the formation
+DONE = "mission: done"
 OVER = ("mission: aborting", "mission: failed")  # the station's lines for the end of a mission that failed
+TERMINATED = "interrupted: by another program, or its terminal was closed"  # the station's line when it is told to end
+FLIES_ON = "mission: running"  # begins the station's lines for a flight that goes on: nothing has ended with such a reason
 STANDING = frozenset(mode.name.lower() for mode in Mode if mode is not Mode.TRACKING)  # modes in which a robot does not go on
 BEFORE_S = 0.2  # a fault may be noticed in the cycle before its injection is told
 WAKES_S = 1.0  # a process that has stood still notices so long after what happened meanwhile
@@ -65,7 +70,8 @@ def cause(result: Result, series: Series) -> Cause | None:
     if lasting:
         return _of_fault(lasting[0], result, series)
     if act is not None:
-        return _cause(act, PERSON, ACTS[act.text], result, series)
+        led = LED.match(act.text)
+        return _cause(act, PERSON, f"led {led[1]} alone" if led else ACTS[act.text], result, series)
     ended = _ended_by(series)
     if ended is not None:
         return _cause(ended, ended.source, ended.text.removeprefix("mission: "), result, series)
@@ -131,12 +137,15 @@ def _place(event: TimelineEvent, series: Series) -> str:
 
 
 def _persons_act(series: Series) -> TimelineEvent | None:
-    """The first request of a person that ended the flight; None for a flight that went all its way."""
+    """The first request of a person that ended the flight; of one that came to its end, that by which a robot left it. None
+    for a flight that went all its way."""
     if series.started and went_all_the_way(series):
         return None
     begin_s, until_s = (0.0, series.ended_s) if series.started else (-math.inf, math.inf)
-    acts = (e for e in series.timeline_events if e.source == "groundstation" and e.text in ACTS)
-    return next((act for act in acts if begin_s <= act.time_s <= until_s), None)
+    reports = [e for e in series.timeline_events if e.source == "groundstation" and begin_s <= e.time_s <= until_s]
+    done_s = next((e.time_s for e in reports if e.text == DONE), math.inf) if series.started else math.inf
+    leads = (e for e in reports if LED.match(e.text)) if done_s < math.inf else ()
+    return next((e for e in reports if e.text in ACTS and e.time_s < done_s), None) or next(iter(leads), None)
 
 
 def _explains(fault: TimelineEvent, act: TimelineEvent, series: Series) -> bool:
@@ -191,12 +200,16 @@ def _flown(series: Series) -> str:
 
 
 def _ended_by(series: Series) -> TimelineEvent | None:
-    """The station's word for the end of a flight that did not go all the way, if it gave a reason."""
+    """The station's word for the end of a flight that did not go all the way, if it gave a reason: that the program was told
+    to end, or the first of the reasons since the flight last went on."""
     if not series.started or went_all_the_way(series):
         return None
-    reasons = (e for e in series.timeline_events if e.source == "groundstation" and e.text.startswith("mission: "))
-    of_flight = (e for e in reasons if 0.0 < e.time_s <= series.ended_s)
-    return next((e for e in of_flight if ": " in e.text.removeprefix("mission: ")), None)
+    reports = [e for e in series.timeline_events if e.source == "groundstation" and 0.0 < e.time_s <= series.ended_s]
+    termination = next((e for e in reports if e.text == TERMINATED), None)
+    flew = [k for k, e in enumerate(reports) if e.text.startswith(FLIES_ON)]
+    since = reports[flew[-1] + 1 :] if flew else reports
+    reasons = (e for e in since if e.text.startswith("mission: ") and ": " in e.text.removeprefix("mission: "))
+    return termination or next(reasons, None)
 
 
 def _excess(check: Check) -> float:

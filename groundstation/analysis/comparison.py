@@ -114,6 +114,7 @@ class Comparison:
 
 
 def _flight(table: dict[str, object]) -> FlightRecord:
+    """A flight's record from its JSON object. Raises TypeError for one of another shape."""
     figures, traces, step_us = table["figures"], table["traces"], table.get("step_us")
     if not isinstance(figures, dict) or not isinstance(traces, dict | None) or not isinstance(step_us, dict | None):
         raise TypeError("figures, traces and step_us must be objects")

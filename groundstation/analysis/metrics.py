@@ -160,18 +160,29 @@ def _robot(series: Series, robot: int) -> RobotResult:
 
 def _end(log: RunLog, robot: int) -> RobotEnd:
     """State of a robot at the last message of the log. A robot that is not heard then may have come to rest since, or not."""
-    states, truths = log.of(topics.STATE, RobotState, robot), log.of(topics.TRUTH, Truth)
-    beats = log.of(topics.HEARTBEAT, StationHeartbeat)
-    true = [e.message.eta[e.message.robots.index(robot)] for e in truths[-1:] if robot in e.message.robots]
-    out = any(robot in e.message.out for e in beats[-1:])
-    if not states:
-        return RobotEnd(place_m=_three(true[0]) if true else None, out_of_water=out)
-    last, over_ns = states[-1], max(e[-1].arrived_ns for e in (states, truths, beats) if e)
-    heard_s = (over_ns - last.arrived_ns) * 1e-9
-    armed = last.message.mode not in UNARMED if heard_s <= topics.STATE.max_age_s else None
-    estimate = last.message.estimate
-    place = true[0] if true else estimate.eta if estimate is not None else None
-    return RobotEnd(last.message.mode.name, round(heard_s, 6), armed, _three(place) if place is not None else None, out)
+    states = log.of(topics.STATE, RobotState, robot)
+    truths, beats = log.of(topics.TRUTH, Truth), log.of(topics.HEARTBEAT, StationHeartbeat)
+    last_state = states[-1].message if states else None
+    last_truth = truths[-1].message if truths else None
+    is_out = bool(beats) and robot in beats[-1].message.out
+    place = None
+    if last_truth is not None and robot in last_truth.robots:
+        place = last_truth.eta[last_truth.robots.index(robot)]
+    elif last_state is not None and last_state.estimate is not None:
+        place = last_state.estimate.eta
+    place_m = _three(place) if place is not None else None
+    if last_state is None:
+        return RobotEnd(place_m=place_m, out_of_water=is_out)
+    log_end_ns = max(entries[-1].arrived_ns for entries in (states, truths, beats) if entries)
+    heard_s = (log_end_ns - states[-1].arrived_ns) * 1e-9
+    is_fresh = heard_s <= topics.STATE.max_age_s
+    return RobotEnd(
+        mode=last_state.mode.name,
+        heard_s=round(heard_s, 6),
+        armed=last_state.mode not in UNARMED if is_fresh else None,
+        place_m=place_m,
+        out_of_water=is_out,
+    )
 
 
 def _pair(series: Series, a: int, b: int) -> PairResult:

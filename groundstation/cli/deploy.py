@@ -63,6 +63,7 @@ def deploy(
 
 
 def _command(text: str) -> tuple[str, ...]:
+    """Words of the command that is given with --ssh. Raises ConfigError if there are none."""
     try:
         words = tuple(shlex.split(text))
     except ValueError as error:

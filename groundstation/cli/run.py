@@ -140,6 +140,7 @@ def _flies_again(folder: Path, page: "WebOptions", offers: tuple[str, ...]) -> b
 
 
 def _token(file: Path) -> str:
+    """The page's token from its file, which nobody else may read. Raises ConfigError."""
     with os_errors_as_config_errors(file):
         try:
             with file.open("rb") as opened:  # also a pipe that a shell makes of a command's output

@@ -142,6 +142,7 @@ class StationStop:
         self._thread.join(self.patience_s + LATE_S)
 
     def _send(self) -> None:
+        """Send the stop, without keys if those are no good, and note the reply or why there is none."""
         try:
             try:
                 self.reply = self._follow(self.keys, self.insecure)
@@ -154,6 +155,7 @@ class StationStop:
             self._settled.set()
 
     def _follow(self, keys: Path | None, insecure: bool) -> Reply:
+        """Send the stop and follow it until it is done, or no patience is left."""
         from groundstation import client
 
         patience_s = max(self.patience_s, client.ORDER_TIMEOUT_S)

@@ -87,6 +87,7 @@ def issue(authority: KeyPair, common_name: str, hosts: Sequence[str], now: datet
 
 
 def _builder(key: ec.EllipticCurvePrivateKey, name: x509.Name, now: datetime, until: datetime) -> x509.CertificateBuilder:
+    """Fields that all certificates have: a name, a public key, a serial number, a time in which they are valid."""
     return (
         x509.CertificateBuilder()
         .subject_name(name)

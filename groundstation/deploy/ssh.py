@@ -186,6 +186,7 @@ def _init(target: Target, request: DeployRequest) -> list[str]:
 
 
 def _tar(files: Files) -> bytes:
+    """A tar archive of files, given by name and content."""
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w") as archive:
         for name, content in files:

@@ -56,6 +56,7 @@ def checkout() -> Path:
 
 
 def _is_checkout(folder: Path) -> bool:
+    """True for a folder with the project's packages, its pins and its project file."""
     return (folder / PINS).is_file() and (folder / PROJECT).is_file() and all((folder / name).is_dir() for name in PACKAGES)
 
 
@@ -74,6 +75,7 @@ def _clean(newest: Path) -> None:
 
 
 def _source_digest(root: Path) -> str:
+    """The digest of all files that the project's wheel is made of, and of the pins."""
     files = [root / PROJECT, root / PINS]
     for package in PACKAGES:
         files += [path for path in (root / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
@@ -81,18 +83,20 @@ def _source_digest(root: Path) -> str:
 
 
 def _build(probe: Probe, folder: Path) -> None:
+    """Fill a folder with this checkout's wheel and those that it needs, as pinned, for the board's platform and Python."""
     root = checkout()
-    with tempfile.TemporaryDirectory() as own:
-        _pip("wheel", "--no-deps", "--wheel-dir", own, str(root))
-        built = next(Path(own).glob("shoal-*.whl"))
-        where = [option for platform in probe.platforms for option in ("--platform", platform)]
-        constraints = ["--constraint", str(root / PINS)]
-        python = ["--python-version", probe.python, "--implementation", "cp", "--only-binary=:all:"]
-        _pip("download", "--dest", str(folder), *where, *python, *constraints, str(built))
-        shutil.copy(built, folder)
+    with tempfile.TemporaryDirectory() as scratch:
+        _pip("wheel", "--no-deps", "--wheel-dir", scratch, str(root))
+        project_wheel = next(Path(scratch).glob("shoal-*.whl"))
+        target = ["--python-version", probe.python, "--implementation", "cp", "--only-binary=:all:"]
+        for platform in probe.platforms:
+            target += ["--platform", platform]
+        _pip("download", "--dest", str(folder), *target, "--constraint", str(root / PINS), str(project_wheel))
+        shutil.copy(project_wheel, folder)
 
 
 def _pip(*arguments: str) -> None:
+    """Run pip. Raises ConfigError with its message if it fails."""
     result = programs.ask("pip", ["--quiet", "--disable-pip-version-check", *arguments])
     if result.returncode != 0:
         raise ConfigError(f"pip {arguments[0]}: {result.stderr.strip() or result.stdout.strip()}")

@@ -83,6 +83,7 @@ class _Copy:
             self._picture.take(line.topic, line.robot, message, line.arrived_ns)
 
     def _draw(self, now_ns: int) -> None:
+        """Write the moving part of the scene, and now and then what stands still."""
         self._next_ns = now_ns + SCENE_NS
         drawn: list[tuple[str, Any]] = [(MOVING, self._picture.moving(now_ns))]
         if self._picture.replanned or now_ns >= self._next_standing_ns:

@@ -85,6 +85,7 @@ def _pictures(experiment: Experiment, fleet: str) -> Layout:
 
 
 def _each(experiment: Experiment, fleet: str, topic: topics.Topic, path: str) -> list[Layout]:
+    """A value of one topic as a plot has it: a line for each robot, in its colour."""
     return [
         {
             "value": f"{fleet}/{topic.key(robot)}{path}",

@@ -63,6 +63,7 @@ class ViewerServer:
                 self._newest[topic, robot] = now_ns, payload
 
     def _channel(self, key: str, cls: Any) -> Any:
+        """The channel of a key, made at its first message."""
         with self._turn:
             if key not in self._channels:
                 files = build_file_descriptor_set(cls).SerializeToString()

@@ -10,7 +10,7 @@ Pure.
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -37,52 +37,66 @@ FULL, FAINT, GLASS = 1.0, 0.45, 0.25  # opacities
 PATH_POINTS = 400  # of a trajectory: enough for the eye
 
 
+M = TypeVar("M")  # type of a message
+
+
+class _Stamped(NamedTuple, Generic[M]):
+    message: M
+    stamp_ns: int
+
+
+def _fresh(newest: _Stamped[M] | None, now_ns: int) -> M | None:
+    """The newest message if it is recent; None otherwise."""
+    return newest.message if newest is not None and newest.stamp_ns >= now_ns - GONE_NS else None
+
+
 class SceneDrawer:
     """The newest of everything that is drawn."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment = experiment
-        self._states: dict[int, tuple[int, RobotState]] = {}
-        self._plans: dict[int, tuple[int, Plan]] = {}
+        self._states: dict[int, _Stamped[RobotState]] = {}
+        self._plans: dict[int, _Stamped[Plan]] = {}
         self._trajectories: dict[int, Trajectory] = {}
-        self._obstacles: tuple[int, Obstacles] | None = None
-        self._truth: tuple[int, Truth] | None = None
+        self._obstacles: _Stamped[Obstacles] | None = None
+        self._truth: _Stamped[Truth] | None = None
         self.replanned = True  # whether what stands has changed since `standing`
 
     def take(self, topic: Topic, robot: int, message: Any, stamp_ns: int) -> None:
+        """Keep the newest message of each kind that the scene is drawn from."""
         if topic is topics.STATE:
-            self._states[robot] = stamp_ns, message
+            self._states[robot] = _Stamped(message, stamp_ns)
         elif topic is topics.PLAN:
-            self._plans[robot] = stamp_ns, message
+            self._plans[robot] = _Stamped(message, stamp_ns)
         elif topic is topics.OBSTACLES:
-            self._obstacles = stamp_ns, message
+            self._obstacles = _Stamped(message, stamp_ns)
         elif topic is topics.TRUTH:
-            self._truth = stamp_ns, message
+            self._truth = _Stamped(message, stamp_ns)
         elif topic is topics.TRAJECTORY:
-            self._trajectories[robot], self.replanned = message, True
+            self._trajectories[robot] = message
+            self.replanned = True
 
     def moving(self, stamp_ns: int) -> SceneUpdate:
         """Robots, their horizons, the truth behind them, obstacles; without what has not been heard of lately."""
-        scene, fresh_ns = SceneUpdate(), stamp_ns - GONE_NS
+        scene, radius_m = SceneUpdate(), self._experiment.vehicle.radius_m
         for index, robot in enumerate(self._experiment.robot_ids):
-            state, plan = self._states.get(robot), self._plans.get(robot)
-            estimate = state[1].estimate if state is not None and state[0] >= fresh_ns else None
-            if state is not None and estimate is not None:
-                entity = _entity(scene, f"robot {robot}", stamp_ns)
-                _hull(entity, estimate.eta, self._experiment.vehicle.radius_m, _colour(colour(index), FULL))
-                entity.texts.add(
-                    text=f"{robot} {state[1].mode.name.lower()}", billboard=True, font_size=14.0, scale_invariant=True
-                )
-                above = np.array([0.0, 0.0, -1.6 * self._experiment.vehicle.radius_m, 0.0])
-                _place(entity.texts[0], estimate.eta + above)
-                entity.texts[0].color.CopyFrom(_colour(colour(index), FULL))
-            if plan is not None and plan[0] >= fresh_ns:
-                _line(_entity(scene, f"plan {robot}", stamp_ns), plan[1].eta[:, :3], _colour(colour(index), FULL), 4.0)
-        if self._truth is not None and self._truth[0] >= fresh_ns:
-            for robot, eta in zip(self._truth[1].robots, self._truth[1].eta, strict=False):
-                _hull(_entity(scene, f"truth {robot}", stamp_ns), eta, self._experiment.vehicle.radius_m, _colour(GREY, GLASS))
-        if self._obstacles is not None and self._obstacles[0] >= fresh_ns:
-            self._draw_obstacles(scene, self._obstacles[1], stamp_ns)
+            paint = _colour(colour(index), FULL)
+            state, plan = _fresh(self._states.get(robot), stamp_ns), _fresh(self._plans.get(robot), stamp_ns)
+            if state is not None and state.estimate is not None:
+                entity, eta = _entity(scene, f"robot {robot}", stamp_ns), state.estimate.eta
+                _add_hull(entity, eta, radius_m, paint)
+                label = f"{robot} {state.mode.name.lower()}"
+                text = entity.texts.add(text=label, billboard=True, font_size=14.0, scale_invariant=True)
+                _place(text, eta + np.array([0.0, 0.0, -1.6 * radius_m, 0.0]))
+                text.color.CopyFrom(paint)
+            if plan is not None:
+                _line(_entity(scene, f"plan {robot}", stamp_ns), plan.eta[:, :3], paint, 4.0)
+        truth, obstacles = _fresh(self._truth, stamp_ns), _fresh(self._obstacles, stamp_ns)
+        if truth is not None:
+            for robot, eta in zip(truth.robots, truth.eta, strict=False):
+                _add_hull(_entity(scene, f"truth {robot}", stamp_ns), eta, radius_m, _colour(GREY, GLASS))
+        if obstacles is not None:
+            self._draw_obstacles(scene, obstacles, stamp_ns)
         return scene
 
     def _draw_obstacles(self, scene: SceneUpdate, obstacles: Obstacles, stamp_ns: int) -> None:
@@ -131,8 +145,8 @@ def _entity(scene: SceneUpdate, name: str, stamp_ns: int, lasting: bool = False)
     return entity
 
 
-def _hull(entity: SceneEntity, eta: Array, radius_m: float, paint: Color) -> None:
-    """A sphere, and an arrow that says where it looks."""
+def _add_hull(entity: SceneEntity, eta: Array, radius_m: float, paint: Color) -> None:
+    """Add a sphere, and an arrow that shows its heading."""
     sphere = entity.spheres.add()
     _place(sphere, eta)
     sphere.size.x = sphere.size.y = sphere.size.z = 2.0 * radius_m

@@ -227,6 +227,8 @@ def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: 
 
 
 def _number(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:
+    """The function that reads number `k` of an array field as a cell, of a row of the array or of all of it."""
+
     def cell(message: Any, row: int) -> Any:
         values = getattr(message, name)
         if of_row:

@@ -144,6 +144,11 @@ class HandshakeAttempt:
 NEW, KNOWN = 0, 1  # lanes
 
 
+def _oldest_s(since_s: OrderedDict[int, float]) -> float:
+    """Since when the oldest of some connections waits; infinity if there are none."""
+    return next(iter(since_s.values()), float("inf"))
+
+
 class Admission:
     """The decisions about connections, which are numbers here."""
 
@@ -282,6 +287,7 @@ class Admission:
         return room and lane.tokens.left(now_s) >= 1.0 and origin.tokens.left(now_s) >= 1.0
 
     def _try(self, connection: int, lane: int, now_s: float) -> int:
+        """Begin a handshake on a free lane."""
         name = self._leave(connection)
         if name in self._crowd:
             self._crowd.move_to_end(name)  # the others' turn comes first, now and the next time
@@ -295,15 +301,14 @@ class Admission:
 
     def next_s(self, now_s: float) -> float:
         """The time of the next look at `overdue` and `turns`, if nothing else happens; infinity if nothing waits."""
-        due = [since_s + HELLO_S for one in self._crowd.values() for since_s in list(one.silent.values())[:1]]
-        due += [since_s + PROOF_S for since_s in list(self._unproven.values())[:1]]
-        for name, one in self._crowd.items():
-            if one.ready:
-                lane = self._lanes[KNOWN if name in self._proven_origins else NEW]
-                due.append(next(iter(one.ready.values())) + TURN_S)
-                if min(lane.tokens.left(now_s), one.tokens.left(now_s)) < 1.0:  # else a slot is awaited, and that is an event
-                    due.append(max(lane.tokens.next_s(now_s), one.tokens.next_s(now_s)))
-        return min(due, default=float("inf"))
+        due_s = [_oldest_s(self._unproven) + PROOF_S]
+        for name, origin in self._crowd.items():
+            due_s += [_oldest_s(origin.silent) + HELLO_S, _oldest_s(origin.ready) + TURN_S]
+            if origin.ready:
+                buckets = (origin.tokens, self._lanes[KNOWN if name in self._proven_origins else NEW].tokens)
+                if min(tokens.left(now_s) for tokens in buckets) < 1.0:  # else a slot is awaited, and that is an event
+                    due_s.append(max(tokens.next_s(now_s) for tokens in buckets))
+        return min(due_s)
 
 
 SAY_AGAIN_S = 10.0  # how often one origin is named, for each reason

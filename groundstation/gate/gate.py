@@ -78,6 +78,7 @@ class Gate:
         self._watch.start()
 
     def _start(self) -> None:
+        """Start the guard's program, which inherits the socket that listens."""
         with self._turn:
             if self._closed:
                 return

@@ -210,6 +210,7 @@ class Guard:
     # --- connections that wait
 
     def _accept(self, listener: socket.socket) -> None:
+        """Accept connections that wait, a few at a time, and read each one's hello."""
         for _ in range(ACCEPTS):
             try:
                 peer, where = listener.accept()

@@ -115,6 +115,7 @@ class DoorTransport:
         return answer
 
     def _connect(self, deadline_s: float, request: bytes) -> socket.socket | None:
+        """A connection to the first door that is open, with the request sent; None if all are closed."""
         for door in self._doors:
             connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             try:

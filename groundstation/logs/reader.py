@@ -270,6 +270,7 @@ class LogFile:
             yield heappop(waiting)[-1]
 
     def _chunk(self, place: _Place, channels: set[int]) -> Iterator[LogMessage]:
+        """Messages of some channels from one chunk of the file."""
         try:
             for opcode, body in self._parts(place):
                 record = _message(body) if opcode == MESSAGE else None

@@ -26,7 +26,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, NamedTuple, cast
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
@@ -126,6 +126,17 @@ class _Output:
             os.close(fd)
 
 
+class _PendingMessage(NamedTuple):
+    """A message that is to be written."""
+
+    topic: Topic
+    key: str
+    header: Header
+    payload: bytes
+    log_time_ns: int
+    arrived_ns: int  # by the monotonic clock
+
+
 class Recorder:
     """Records messages into one file. `put` may be called from any thread and never waits for the disk."""
 
@@ -146,7 +157,7 @@ class Recorder:
         self._dropped = 0
         self._error = ""
         self._lock = threading.Lock()
-        self._pending: list[tuple[Topic, str, Header, bytes, int, int]] = []
+        self._pending: list[_PendingMessage] = []
         self._pending_bytes = 0
         self._pace: list[tuple[int, int]] = []  # (log time, monotonic time of arrival) of one state message per flush
         self._closing = threading.Event()
@@ -198,7 +209,7 @@ class Recorder:
             if self._error or self._pending_bytes + len(payload) > MAX_PENDING_BYTES:
                 self._dropped += 1
                 return
-            self._pending.append((topic, key, header, payload, log_time_ns, time.monotonic_ns()))
+            self._pending.append(_PendingMessage(topic, key, header, payload, log_time_ns, time.monotonic_ns()))
             self._pending_bytes += len(payload)
 
     def gather(self, sources: Sequence[Collected], arrival_ns: Callable[[Header], int]) -> None:
@@ -208,6 +219,7 @@ class Recorder:
         self._gatherer.start()
 
     def _gather(self, sources: Sequence[Collected], arrival_ns: Callable[[Header], int]) -> None:
+        """Put what the bus has collected into the log, again and again, until the recorder is closed."""
         ended = False
         try:
             while not ended:
@@ -266,19 +278,23 @@ class Recorder:
         """Write the messages that wait, but for those of robots that are later than what is whole."""
         with self._lock:
             until_ns = math.inf if self.whole_until_ns is None else self.whole_until_ns
-            waits = [topic.writers == (Role.ROBOT,) and header.stamp_ns > until_ns for topic, _, header, *_ in self._pending]
-            batch = [entry for entry, later in zip(self._pending, waits, strict=True) if not later]
-            self._pending = [entry for entry, later in zip(self._pending, waits, strict=True) if later]
-            self._pending_bytes = sum(len(payload) for _, _, _, payload, *_ in self._pending)
-        states = [(log_time_ns, arrived_ns) for topic, _, _, _, log_time_ns, arrived_ns in batch if topic is STATE]
-        self._pace += states[-1:]
-        for topic, key, header, payload, log_time_ns, _ in batch:
-            channel = self._channel(topic, key, header.session)
+            batch, later = list[_PendingMessage](), list[_PendingMessage]()
+            for pending in self._pending:
+                is_later = pending.topic.writers == (Role.ROBOT,) and pending.header.stamp_ns > until_ns
+                (later if is_later else batch).append(pending)
+            self._pending = later
+            self._pending_bytes = sum(len(pending.payload) for pending in later)
+        states = [pending for pending in batch if pending.topic is STATE]
+        self._pace += [(state.log_time_ns, state.arrived_ns) for state in states[-1:]]
+        for pending in batch:
+            header = pending.header
+            channel = self._channel(pending.topic, pending.key, header.session)
             # MCAP's times and sequence numbers are unsigned; a stranger's header must not stop the log
             stamp_ns, sequence = max(header.stamp_ns, 0), header.sequence & 0xFFFFFFFF
-            self._writer.add_message(channel, max(log_time_ns, 0), payload, stamp_ns, sequence)
+            self._writer.add_message(channel, max(pending.log_time_ns, 0), pending.payload, stamp_ns, sequence)
 
     def _channel(self, topic: Topic, key: str, session: int) -> int:
+        """Number of the log's channel for a topic of a sender, which is declared at the first message."""
         cls = protobuf_class(topic.type)
         if cls not in self._schemas:
             name, files = cls.DESCRIPTOR.full_name, build_file_descriptor_set(cls).SerializeToString()

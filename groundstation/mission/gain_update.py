@@ -129,6 +129,7 @@ class GainUpdater:
         return self._stage is not GainStage.IDLE and not asks_returned
 
     def _begin(self, config: ControllerConfig, fleet: Fleet, now_ns: int, trajectory_s: float = 0.0) -> str:
+        """Begin a change of gains. Returns the reason why it cannot begin, or ""."""
         silent = [str(robot) for robot, view in fleet.items() if not view.heard]
         if silent:
             return f"robot {', '.join(silent)} is not heard"
@@ -202,6 +203,7 @@ class GainUpdater:
         )
 
     def _succeed(self, change: _Change) -> None:
+        """Make the changed gains the fleet's. The gains before can be had back, unless this change has brought them back."""
         if not change.back:
             if self._before and tuning(self._before[-1]).id == change.message.id:
                 self._before.pop()

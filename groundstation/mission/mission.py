@@ -7,7 +7,7 @@ the next plan segment, timetable.py the instant at which the flight began. Plann
 that the mission waits for, `planned` takes its outcome.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,11 +21,11 @@ from groundstation.mission.objections import (
     fit_to_rejoin,
     mode_name,
     objection,
+    standing_objection,
     unfit_to_return,
 )
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanManager, PlanRequest
-from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.mission.roster import LED, Leader, Roster
 from groundstation.mission.state_machine import (
     AT_REST,
@@ -41,12 +41,20 @@ from groundstation.mission.state_machine import (
     next_state,
     rejection_reason,
 )
-from groundstation.mission.timetable import START_IN_S, Timetable
+from groundstation.mission.timetable import START_IN_S, ProgressGovernor, Timetable, turn_s
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
-from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
+from groundstation.telemetry import (
+    OUT_OF_STEP_S,
+    Fleet,
+    RobotView,
+    blind_robots,
+    first_lost_robot,
+    foreign_poses,
+    preflight,
+)
 from shoal.config.experiment import Experiment
-from shoal.frames import Array
+from shoal.frames import Array, wrap
 from shoal.messages import topics
 from shoal.messages.messages import Command, CommandKind, Mode, RobotState
 
@@ -63,7 +71,10 @@ ATTENDED = "a person attends, and has to start it"  # an automatic mission, once
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 # States before anybody flies, in which the loss of a robot that was armed ends what was asked for.
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING, MissionState.TEST_ARMING})
+BEFORE_FLIGHT = frozenset({MissionState.ARMING, MissionState.REARMING})  # armed robots are sent off next, if they may fly then
 OTHER_FLIGHTS = (CommandKind.FORMATION, CommandKind.PATH)
+# Requests whose refusal people see before they ask. Not those that make robots safe: they are asked for at any time.
+TOLD_BEFORE = (CommandKind.RESUME, CommandKind.RETURN, CommandKind.REJOIN, CommandKind.GO, *OTHER_FLIGHTS)
 ASKS_TO_ARM = frozenset(
     {CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST, CommandKind.RETURN, CommandKind.REJOIN}
 )
@@ -112,7 +123,7 @@ class _RunData:
 
     ended_by: MissionEvent = MissionEvent.ALL_CONFIRMED  # event of ENDING when every robot is disarmed: how the run ended
     homeward: bool = False  # it began with RETURN, from rest
-    gap: bool = False  # a robot was lost while the operator held the others: they close up when they may go on
+    gap: bool = False  # robots are to close up where one was lost; it may have been taken out of the water since
 
 
 class Mission:
@@ -145,10 +156,11 @@ class Mission:
         self._last_state: MissionState | None = None  # of the last request: the mission goes no further than this
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
-        self._needs_operator = False  # an automatic mission does not go on by itself
+        self._awaits_operator = False  # a person took a hand in it, or only a person can tell how to go on
         self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
-        self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
+        # How the last flight ended that the report judges: one with a START. None while it is under way, or before the first
+        self.verdict: MissionState | None = None
 
     @property
     def segment(self) -> PlanSegment:
@@ -158,6 +170,12 @@ class Mission:
     def _awaits_return(self) -> bool:
         """True while a run that began with RETURN has no plan yet: nobody has flown in it, and it leads nowhere but home."""
         return self._run.homeward and not self.segment.is_return
+
+    @property
+    def _goes_on_by_itself(self) -> bool:
+        """True if no request is needed to begin or resume: in an automatic mission whose run is not over, also when a thruster
+        test after it has led to WAITING, and that does not wait for the operator."""
+        return self.automatic and self.verdict is None and not self._awaits_operator
 
     @property
     def plan_request(self) -> PlanRequest | None:
@@ -183,7 +201,7 @@ class Mission:
         self._last_state = {CommandKind.LOAD: MissionState.LOADING, CommandKind.ARM: MissionState.ARMING}.get(order)
         at_rest = before in AT_REST and order in OTHER_FLIGHTS
         if order is not CommandKind.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
-            self._needs_operator = order in (CommandKind.HOLD, CommandKind.CLEAR_STOP) or at_rest
+            self._awaits_operator = order in (CommandKind.HOLD, CommandKind.CLEAR_STOP) or at_rest
         self._prepare(order, context)
         self._go(order, now_ns)
         if at_rest:
@@ -212,10 +230,13 @@ class Mission:
             self._prepare_return(fleet)
         if order is CommandKind.REJOIN:
             self.roster.reinstate(fit_to_rejoin(self._context(fleet)))
+            self._run.gap = self.roster.trouble
             if self._awaits_return:
                 self.plans.target_return()
             else:
                 self.plans.target_slots()
+        if order in OTHER_FLIGHTS and self.state is MissionState.PAUSED and self._has_gap:
+            self._close_slots(fleet)
         if order in OTHER_FLIGHTS and self.state in AT_REST:
             self.plans.reset()  # it begins another run, with all robots
         elif order is CommandKind.FORMATION and self.state is MissionState.PAUSED:
@@ -237,7 +258,7 @@ class Mission:
     def lead(self, robot: int, order: CommandKind) -> None:
         """Let a person lead one robot."""
         self._give_up_s = None
-        self._needs_operator = True
+        self._awaits_operator = True
         self.roster.led_by[robot] = Leader.PERSON
         if self.takes_out(order) and robot not in self.roster.lost:
             self.roster.mark_lost(robot, LED)
@@ -246,7 +267,7 @@ class Mission:
         """Take note that a robot is out of the water, or back in it. Somebody's hands are in the water: an automatic mission
         waits for a person's START or RESUME."""
         self._give_up_s = None
-        self._needs_operator = True
+        self._awaits_operator = True
         if is_out:
             self.roster.take_out(robot)
         else:
@@ -255,6 +276,15 @@ class Mission:
     def objection(self, order: CommandKind, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = "") -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
         return objection(order, self.request_context(order, fleet, via, text))
+
+    def refusals(self, fleet: Fleet) -> dict[CommandKind, str]:
+        """Reasons for which requests would be refused now, whatever their details, by request that the state allows."""
+        reasons = {
+            order: standing_objection(order, self.request_context(order, fleet))
+            for order in TOLD_BEFORE
+            if not rejection_reason(order, self.state)
+        }
+        return {order: reason for order, reason in reasons.items() if reason}
 
     def request_context(
         self, order: CommandKind, fleet: Fleet, via: Sequence[tuple[float, float]] = (), text: str = ""
@@ -282,6 +312,7 @@ class Mission:
         self.governor.start()
 
     def _prepare_return(self, fleet: Fleet) -> None:
+        """Aim all robots that can fly at the places where they started. Those that cannot are lost."""
         if self.state in AT_REST:
             began_ns = self.began_ns
             self._begin_run()
@@ -321,7 +352,7 @@ class Mission:
             self.reason = foreign
         if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active and not self._awaits_return:
             self._check_flight(fleet, now_ns)
-        self._govern(fleet, elapsed_s)
+        self._govern(fleet, elapsed_s, now_ns)
         return self._commands(fleet, now_ns) + self._command_others(fleet, now_ns)
 
     def _commands(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
@@ -350,15 +381,21 @@ class Mission:
         if self.state is MissionState.STOPPED:  # every robot is sent STOP
             return ()
         disarm = self._send(CommandKind.DISARM, [r for r in sorted(self.roster.out) if fleet[r].mode in LIVE], now_ns)
-        others = self.roster.all_robots if self.state in AT_REST else self.roster.lost if self.state in COMMITTED else ()
-        left = self.roster.led_by_people | self.roster.out
-        return disarm + self._send(CommandKind.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in left], now_ns)
+        others: Iterable[int] = ()
+        if self.state in AT_REST:
+            others = self.roster.all_robots
+        elif self.state in COMMITTED:
+            others = self.roster.lost
+        left_alone = self.roster.led_by_people | self.roster.out
+        moving = [r for r in others if fleet[r].mode in MOVING and r not in left_alone]
+        return disarm + self._send(CommandKind.HOLD, moving, now_ns)
 
     def _wait(self, fleet: Fleet, now_ns: int) -> None:
+        """Wait for START. In automatic mode begin by itself once preflight passes and nothing moves."""
         moves = any(fleet[r].heard and fleet[r].mode in MOVING for r in self.roster.all_robots)
         reasons = preflight(self._experiment, fleet, self.plans.starts)
-        self.reason = "; ".join(reasons) or (ATTENDED if self.automatic and self._needs_operator else "")
-        if self.automatic and not self._needs_operator and not reasons and not moves:
+        self.reason = "; ".join(reasons) or (ATTENDED if self.automatic and not self._goes_on_by_itself else "")
+        if self._goes_on_by_itself and not reasons and not moves:
             self._may_arm(now_ns)
             self._begin_run()
             self._go(MissionEvent.PREFLIGHT_PASSED, now_ns)
@@ -444,8 +481,7 @@ class Mission:
         ):  # earlier, the mode may be of the state before
             state = fleet[holding[0]].state
             return MissionEvent.ROBOT_HOLDING, f"robot {holding[0]} holds: {state.fault if state else ''}"
-        blind = self._blind(fleet) if self._experiment.mission.blind == "hold" else ""
-        if blind:
+        if blind := blind_robots(self._experiment, fleet, active):
             return MissionEvent.BLIND, blind
         if self.state is MissionState.RUNNING and segment.is_return:
             return MissionEvent.RETURN_STARTED, ""
@@ -465,11 +501,10 @@ class Mission:
             return MissionEvent.LAGGING, f"robot {worst} is {fleet[worst].error_m:.2f} m from its place"
         return (MissionEvent.CAUGHT_UP, "") if self.state is MissionState.SLOWED and not slowed else None
 
-    def _blind(self, fleet: Fleet) -> str:
-        """Robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are none."""
-        reasons = {r: state.blind for r in self.roster.active if (state := fleet[r].state) is not None and state.blind}
-        robots = f"robot{'s' if len(reasons) > 1 else ''} {', '.join(map(str, reasons))}"
-        return f"{robots} blind: {next(iter(reasons.values()))}" if reasons else ""
+    def _may_not_fly(self, fleet: Fleet) -> str:
+        """Reason for which no robot may begin to fly now, whatever it is armed for; empty if there is none."""
+        robots = self.roster.active
+        return foreign_poses(self._experiment, fleet, robots) or blind_robots(self._experiment, fleet, robots)
 
     def _handle_losses(self, fleet: Fleet, now_ns: int) -> None:
         """Apply the experiment's policy (mission.lost) to a robot that is lost. A plan from rest that counts on it is made
@@ -494,10 +529,11 @@ class Mission:
                 return
             if self.state is not MissionState.PAUSED:
                 self._go(MissionEvent.LOST_HOLD, now_ns)
-            self._needs_operator = True
+            self._awaits_operator = True
         elif policy == "close-up" and not returns:
             self._run.gap = True
-            if not (self._needs_operator and self.state is MissionState.PAUSED):
+            held = self._awaits_operator or self._may_not_fly(fleet)
+            if not (held and self.state is MissionState.PAUSED):  # else when they may go on
                 self._close_up(fleet, now_ns)
         elif next_state(self.state, MissionEvent.LOST_REPLAN) is not None:
             self._go(MissionEvent.LOST_REPLAN, now_ns)
@@ -509,17 +545,27 @@ class Mission:
             if fleet[robot].mode is Mode.DISARMED:
                 self.roster.mark_lost(robot, "disarmed")
 
-    def _close_up(self, fleet: Fleet, now_ns: int) -> None:
+    @property
+    def _has_gap(self) -> bool:
+        """True if robots are to close up where one was lost, whatever a person asks of those that hold."""
+        closes = self._experiment.mission.lost == "close-up" and not self.segment.is_return
+        return closes and (self._run.gap or self.roster.trouble) and self.roster.has_gap
+
+    def _close_slots(self, fleet: Fleet) -> None:
         self._run.gap = False
         self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
+
+    def _close_up(self, fleet: Fleet, now_ns: int) -> None:
+        """Close the gap of a lost robot: assign slots anew, and plan the way into them."""
+        self._close_slots(fleet)
         if self._form:  # the gap closes on the way into the form that was asked for
             self.plans.target_form(self._form)
         else:
             self.plans.target_slots()
         self._go(MissionEvent.LOST_CLOSE_UP, now_ns)
 
-    def _govern(self, fleet: Fleet, elapsed_s: float) -> None:
-        flies = self.state in IN_FLIGHT
+    def _govern(self, fleet: Fleet, elapsed_s: float, now_ns: int) -> None:
+        flies = self.state in IN_FLIGHT and self._timetable is not None and now_ns >= self._timetable.start_ns
         worst_m = max((fleet[r].error_m for r in self.roster.active), default=0.0)
         self.governor.step(worst_m if flies else None, elapsed_s)
 
@@ -530,8 +576,11 @@ class Mission:
         waiting = [r for r in self._addressed(fleet) if not self._has_confirmed(r, stage, fleet, now_ns)]
         if not waiting:
             if self.state is not self._last_state:
-                ending = self.state is MissionState.ENDING
-                self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
+                if self.state in BEFORE_FLIGHT and (why := self._may_not_fly(fleet)):
+                    self.reason = why
+                else:
+                    ending = self.state is MissionState.ENDING
+                    self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
             self._data.waiting_since_ns.clear()
             return ()
         unfit = [r for r in waiting if fleet[r].mode in UNFIT or self._lost_power(r, fleet[r], now_ns)]
@@ -601,7 +650,7 @@ class Mission:
         unfit = preflight(self._experiment, {r: fleet[r] for r in self.roster.active})
         if moving or unfit or (not self._may_replan and self.plans.first_contact(fleet)):
             self._data.since_ns = now_ns
-        elif self.automatic and not self._needs_operator and now_ns - self._data.since_ns > SETTLE_S * 1e9:
+        elif self._goes_on_by_itself and now_ns - self._data.since_ns > SETTLE_S * 1e9:
             self._go(MissionEvent.RECOVERED, now_ns)
             self._replan_if_needed(fleet, now_ns)
             return ()
@@ -615,12 +664,15 @@ class Mission:
     def _replan_if_needed(self, fleet: Fleet, now_ns: int) -> None:
         """After RESUMING began: plan from rest where robots cannot simply go on.
 
-        The reasons: robots are to return, and have no plan yet; they are on different plans; one was carried too far off; a
-        gap is to be closed; an obstacle, a lost robot for example, lies on the path.
+        The reasons: robots are to return, and have no plan yet; a gap is to be closed; they are on different plans; one was
+        carried too far off; an obstacle, a lost robot for example, lies on the path.
         """
         if self._awaits_return:
             self.plans.target_return()
             self._go(MissionEvent.OFF_PLAN, now_ns)
+            return
+        if self._has_gap:
+            self._close_up(fleet, now_ns)
             return
         off_plan = [
             f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
@@ -630,11 +682,27 @@ class Mission:
             self.plans.target_current()
             self._go(MissionEvent.OFF_PLAN, now_ns)
             self.reason = "; ".join(off_plan)
-        elif self._run.gap and self.roster.lost and not self.segment.is_return:
-            self._close_up(fleet, now_ns)
         elif self._may_replan and self.plans.first_contact(fleet):
             self.plans.target_current()
             self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
+        else:
+            self._go_on_from_rest(fleet, now_ns)
+
+    def _go_on_from_rest(self, fleet: Fleet, now_ns: int) -> None:
+        """Set the timetable of RESUMING: robots go on where their trajectories come nearest to where they rest, beyond the
+        progress, and when all have had the time to turn there: in HOLD the heading is free."""
+        plans, vehicle, period_s = self.plans, self._experiment.vehicle, self._experiment.controller.period_s
+        left_s = min(self.segment.end_s - plans.progress_s, REST_WITHIN_S)  # by then they had come to rest
+        ahead_s = plans.progress_s + period_s * np.arange(max(round(left_s / period_s), 1), dtype=np.float64)
+        paths = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
+        if not paths:
+            return
+        away_m = np.max([np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in paths.items()], axis=0)
+        nearest = int(np.argmin(np.append(np.diff(away_m) < 0.0, False)))
+        turns_rad = [wrap(eta.item(nearest, 3) - fleet[r].eta.item(3)) for r, eta in paths.items()]
+        starts_in_s = START_IN_S + max(turn_s(vehicle, turn_rad) for turn_rad in turns_rad)
+        plans.progress_s = float(ahead_s[nearest])
+        self._timetable = Timetable(now_ns + round(starts_in_s * 1e9), plans.progress_s + self.governor.lag_s)
 
     def _carried_off(self, fleet: Fleet) -> Iterator[tuple[int, float]]:
         """Robots that are further than safety.join_within_m from their trajectories, and their distance in m."""
@@ -659,6 +727,7 @@ class Mission:
         return ()
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Have each robot test its thrusters, until all have a result."""
         results = {r: self._test_result(r, fleet[r], now_ns) for r in self.roster.active}
         if all(result not in ("", "running") for result in results.values()):
             self._go(MissionEvent.ALL_CONFIRMED, now_ns)
@@ -698,7 +767,8 @@ class Mission:
                     self._fail(MissionEvent.LOST_ALL, why, now_ns)
                     return
                 self._go(MissionEvent.NO_PLAN, now_ns)
-                self._needs_operator, self.reason = True, why
+                self._awaits_operator = True
+                self.reason = why
         elif self.state is MissionState.SWITCHING:
             if isinstance(outcome, PlanSegment):
                 self.plans.next = outcome
@@ -753,12 +823,10 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
-        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop or a DISARM after the run has ended so
+        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop, a DISARM or a way home after that
             self.verdict = state
-        elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
+        elif state is MissionState.STARTING:
             self.verdict = None
-        if state in TERMINAL:  # it is over: a thruster test, which leads to WAITING, begins no other run
-            self._needs_operator = True
         if state is MissionState.HALTING and self.state not in PLANNING and isinstance(cause, MissionEvent):
             self._still_to_arm = frozenset()  # robots flew just now: one that is disarmed is lost
         if state in JOINING:  # one instant for all, the same in every command: late robots join where the others are

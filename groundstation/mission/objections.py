@@ -9,7 +9,15 @@ from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.replanning import can_replan
 from groundstation.planning.segment import PlanSegment
 from groundstation.planning.shift import common_path
-from groundstation.telemetry import Fleet, RobotView, blocking_findings, first_lost_robot, foreign_poses, preflight
+from groundstation.telemetry import (
+    Fleet,
+    RobotView,
+    blind_robots,
+    blocking_findings,
+    first_lost_robot,
+    foreign_poses,
+    preflight,
+)
 from shoal.config.experiment import Experiment, with_flight
 from shoal.config.scene import Circle, read_form
 from shoal.errors import ConfigError
@@ -46,6 +54,12 @@ class RequestContext:
 def objection(order: CommandKind, context: RequestContext) -> str:
     """Reason against a request in a state that allows it; empty if there is none."""
     return next((reason for check in OBJECTIONS.get(order, ()) if (reason := check(context))), "")
+
+
+def standing_objection(order: CommandKind, context: RequestContext) -> str:
+    """Reason against a request whatever its places, form or experiment; empty if there is none."""
+    checks = (check for check in OBJECTIONS.get(order, ()) if check not in OF_DETAILS)
+    return next((reason for check in checks if (reason := check(context))), "")
 
 
 def mode_name(robot: RobotView) -> str:
@@ -120,6 +134,11 @@ def _foreign_poses(context: RequestContext) -> str:
     return foreign_poses(context.experiment, context.fleet, context.roster.active)
 
 
+def _blind(context: RequestContext) -> str:
+    """Robots that hold would be sent off for a moment, and hold again. At rest the preflight looks."""
+    return "" if context.state in AT_REST else blind_robots(context.experiment, context.fleet, context.roster.active)
+
+
 def _returns(context: RequestContext) -> str:
     returns = context.segment.is_return and context.state not in AT_REST
     return "the robots are on their way back to the start, each on its own" if returns else ""
@@ -130,6 +149,7 @@ def _no_places(context: RequestContext) -> str:
 
 
 def _unchangeable(context: RequestContext) -> str:
+    """The reason why the path cannot be left for other places under way, or ""."""
     experiment = context.flown
     if can_replan(experiment):
         return ""
@@ -141,6 +161,7 @@ def _unchangeable(context: RequestContext) -> str:
 
 
 def _no_form(context: RequestContext) -> str:
+    """The reason why the formation cannot take the form that is asked for, or ""."""
     try:
         changes = read_form(context.text, 0.0)
     except ValueError as error:
@@ -169,7 +190,7 @@ def _being_planned(context: RequestContext) -> str:
 
 
 def _on_transfers(context: RequestContext) -> str:
-    moves = context.state is not MissionState.PAUSED and context.transfer
+    moves = context.state not in AT_REST | {MissionState.PAUSED} and context.transfer
     return "the robots are still on their way to their places: wait until they are there" if moves else ""
 
 
@@ -202,17 +223,19 @@ def _none_can_return(context: RequestContext) -> str:
 
 Check = Callable[[RequestContext], str]
 
+OF_DETAILS: tuple[Check, ...] = (_no_places, _outside, _no_form, _no_flight)
+
 OBJECTIONS: Mapping[CommandKind, tuple[Check, ...]] = {
     CommandKind.LOAD: (_moves, _being_planned),
     CommandKind.ARM: (_moves, _being_planned, _unfit_to_start),
     CommandKind.START: (_moves, _being_planned, _unfit_to_start),
     CommandKind.TEST: (_moves, _holds, _unfit_to_test),
-    CommandKind.RESUME: (_not_holding, _foreign_poses),
+    CommandKind.RESUME: (_not_holding, _foreign_poses, _blind),
     CommandKind.CLEAR_STOP: (_not_stopped,),
     CommandKind.HOLD: (_none_armed,),
     CommandKind.GO: (_foreign_poses, _returns, _no_places, _unchangeable, _outside),
-    CommandKind.FORMATION: (_foreign_poses, _returns, _no_form, _on_transfers, _not_placed),
-    CommandKind.PATH: (_foreign_poses, _no_flight, _not_placed),
-    CommandKind.REJOIN: (_foreign_poses, _none_lost, _no_place_left, _none_can_rejoin),
-    CommandKind.RETURN: (_foreign_poses, _none_can_return),
+    CommandKind.FORMATION: (_foreign_poses, _blind, _returns, _no_form, _on_transfers, _not_placed),
+    CommandKind.PATH: (_foreign_poses, _blind, _no_flight, _not_placed),
+    CommandKind.REJOIN: (_foreign_poses, _blind, _none_lost, _no_place_left, _none_can_rejoin),
+    CommandKind.RETURN: (_foreign_poses, _blind, _none_can_return),
 }

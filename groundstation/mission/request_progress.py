@@ -177,6 +177,7 @@ class RequestTracker:
     def _open_one(
         self, order: CommandKind, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET, task: RobotTask | None = None
     ) -> int:
+        """Open a request at its first step. Returns its number."""
         self._count += 1
         at_rest = order in OTHER_FLIGHTS and mission.state is MissionState.WAITING
         request = _Request(
@@ -287,6 +288,7 @@ class RequestTracker:
     def _gain_progress(
         self, request: _Request, mission: Mission, fleet: Fleet, tuning: GainStatus
     ) -> tuple[Progress, str, list[int]]:
+        """Progress of a change of gains, the reason if it failed, and the robots that have other gains still."""
         states = {robot: fleet[robot].state for robot in self._concerned(request, mission, fleet)}
         waiting = [robot for robot, state in states.items() if state is None or state.tuning_id != request.tuning_id]
         if tuning.stage is not GainStage.IDLE:
@@ -302,20 +304,27 @@ class RequestTracker:
         mission: Mission,
         progress: Progress = Progress.UNDER_WAY,
         reason: str = "",
-        why: dict[int, str] | None = None,
+        waiting: dict[int, str] | None = None,
         concerned: Sequence[int] = (),
     ) -> None:
-        """Keep the outcome of a request, in place of an earlier one of the same number."""
-        late = why or {}
-        confirmed = tuple(robot for robot in concerned if robot not in late)
+        """Keep the outcome of a request, in place of an earlier one of the same number. `waiting`: the robots of those
+        `concerned` that have not confirmed it, with their reasons. Of the requests that are over, the oldest are forgotten."""
+        waiting = waiting or {}
         outcome = Outcome(
-            request.number, request.order, progress, reason, mission.state.name, confirmed, tuple(late), tuple(late.values())
+            request=request.number,
+            order=request.order,
+            progress=progress,
+            reason=reason,
+            mission=mission.state.name,
+            confirmed=tuple(robot for robot in concerned if robot not in waiting),
+            waiting=tuple(waiting),
+            why=tuple(waiting.values()),
         )
-        kept = [*(earlier for earlier in self._outcomes if earlier.request != request.number), outcome]
-        over = [earlier.request for earlier in kept if earlier.progress is not Progress.UNDER_WAY]
+        outcomes = [*(earlier for earlier in self._outcomes if earlier.request != request.number), outcome]
+        over = [kept.request for kept in outcomes if kept.progress is not Progress.UNDER_WAY]
         forgotten = frozenset(over[: -(KEPT + len(self._robots))])
-        self._outcomes = [earlier for earlier in kept if earlier.request not in forgotten]
-        self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
+        self._outcomes = [kept for kept in outcomes if kept.request not in forgotten]
+        self.recent = tuple(sorted(self._outcomes, key=lambda kept: kept.request))
 
 
 def _counts(request: _Request, mission: Mission, view: RobotView) -> bool:

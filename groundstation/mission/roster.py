@@ -88,6 +88,11 @@ class Roster:
         return any(why not in BY_PEOPLE for why in self.lost.values())
 
     @property
+    def has_gap(self) -> bool:
+        """True if the active robots' slots are not those of the experiment's first robots."""
+        return set(self.slots_in_use().values()) != set(self.all_robots[: len(self.active)])
+
+    @property
     def led_by_people(self) -> frozenset[int]:
         """Robots that a person leads now."""
         return frozenset(robot for robot, leader in self.led_by.items() if leader is Leader.PERSON)

@@ -210,6 +210,7 @@ class SingleRobotControl:
         return ""
 
     def _no_place(self, robot: int, fleet: Fleet, place_m: tuple[float, float] | None) -> str:
+        """The reason why a robot cannot go to a place, or ""."""
         if place_m is None:
             return "where to? (one place, x and y in m)"
         length, width, _ = self._experiment.pool.size_m
@@ -369,10 +370,13 @@ class SingleRobotControl:
 
     def planned(self, outcome: PlanSegment | PlanError, fleet: Fleet, now_ns: int) -> None:
         """Take the outcome of the requested plan."""
-        planned_for, self.plan_request, self._planned_for = self._planned_for, None, None
-        if planned_for is None or self._under_way(planned_for[0]) is not planned_for[1]:
+        planned_for = self._planned_for
+        self.plan_request = self._planned_for = None
+        if planned_for is None:
             return
         robot, task = planned_for
+        if self._under_way(robot) is not task:  # another request has taken its place
+            return
         if isinstance(outcome, PlanSegment):
             alone = {robot: named_alone(trajectory) for robot, trajectory in outcome.trajectories.items()}
             task.transfer, task.since_ns = replace(outcome, trajectories=alone), now_ns
@@ -386,6 +390,7 @@ class SingleRobotControl:
 
 
 def _text(task: RobotTask) -> str:
+    """A robot's own task, as the operator reads it."""
     if task.order is CommandKind.GO and task.place_m is not None:
         return f"on its way to {task.place_m[0]:.2f}, {task.place_m[1]:.2f} m"
     if task.order is CommandKind.DRIVE and task.velocity is None:

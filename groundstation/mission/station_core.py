@@ -117,6 +117,12 @@ class StationCore:
         moving = [view for view in fleet.values() if view.heard and view.mode in LIVE - {Mode.ARMED}]
         return any(view.mode in MOVING or view.speed_mps > AT_REST_MPS for view in moving)
 
+    def leave(self, fleet: Fleet, now_ns: int) -> None:
+        """Disarm every robot: the station is about to leave, and no person has asked for it."""
+        self.request(CommandKind.END, fleet, now_ns)
+        if self.mission.state is MissionState.ENDING:
+            self.mission.reason = "the station was told to end"
+
     def drive(self, robot: int, velocity: DriveVelocity, fleet: Fleet, now_ns: int) -> str:
         """Take a person's newest velocity for one robot: one request from the first to letting go. Returns the reason of a
         refusal, or nothing."""

@@ -15,6 +15,8 @@ from shoal.messages.messages import Trajectory
 
 PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: the tracking error of a well tracked robot
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
+# m/s and rad/s by which a pose may be off what its velocities say: robots refuse more (guidance/trajectory_check.py)
+DRIFT = np.array([0.02, 0.02, 0.02, 0.5])
 
 
 OutOfTime = Callable[[], bool]  # True when the caller waits no longer for a plan
@@ -67,10 +69,13 @@ def required_slowdown(experiment: Experiment, motions: Mapping[int, NodeMotion])
 def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], count: int) -> list[PlanFigure]:
     """Clearances, speeds and forces of a plan in its first `count` samples; no distance where there is nothing to be near."""
     eta = [t.eta[:count, :3] for t in trajectories.values()]
-    apart_m = min((float(np.linalg.norm(a - b, axis=1).min()) for a, b in combinations(eta, 2)), default=np.inf)
+    apart = [np.linalg.norm(a - b, axis=1) for a, b in combinations(eta, 2)]
+    nearest, closest_m = min(apart, key=np.min, default=np.array([np.inf])), 2.0 * experiment.safety.radius_m
+    leaves = nearest[0] == nearest.min() < closest_m - TOLERANCE and nearest[-1] >= closest_m - TOLERANCE
+    when = ", as they lie now" if leaves else ""  # no plan can mend that
     away_m = float(experiment.clearance_m(np.vstack(eta)).min())
     listed = [
-        PlanFigure("between centres", "m", apart_m, 2.0 * experiment.safety.radius_m, True),
+        PlanFigure(f"between centres{when}", "m", float(nearest.min()), closest_m, True),
         PlanFigure("hulls to walls and islands", "m", away_m, 0.0, True),
     ]
     demands = [experiment.vehicle.demands(t.velocity[:count], t.acceleration[:count]) for t in trajectories.values()]
@@ -96,11 +101,25 @@ def robot_problems(
             if worst is not None:
                 over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"
                 yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, eta[worst.index])}"
+        for index, what in _leaps(motion, experiment.controller.period_s):
+            yield f"robot {robot}: {what} at once {_moment(experiment, begin_s, index, motion.eta[index])}"
         for what, excess in outside(experiment, eta[:, :3]).items():
             worst = _worst(excess, 0.0)
             if worst is not None:
                 where = _moment(experiment, begin_s, worst.index, eta[worst.index])
                 yield f"robot {robot}: {worst.value:.3f} m beyond {what} {where}"
+
+
+def _leaps(motion: NodeMotion, period_s: float) -> Iterator[tuple[int, str]]:
+    """The first sample behind which a place, and a heading, moves otherwise than its velocities say, and by how much: no limit
+    of speed shows that."""
+    moved, velocity = np.diff(motion.eta, axis=0), motion.velocity
+    off = np.abs(moved - 0.5 * period_s * (velocity[1:] + velocity[:-1]))
+    leaps = off > period_s * (0.5 * np.abs(np.diff(velocity, axis=0)) + DRIFT)
+    for axes, what, unit in ((slice(3), "its place moves by", "m"), (slice(3, 4), "it turns by", "rad")):
+        index = int(np.argmax(leaps[:, axes].any(axis=1)))
+        if leaps[index, axes].any():
+            yield index, f"{what} {np.linalg.norm(moved[index, axes]):.3f} {unit}"
 
 
 def pair_problems(

@@ -222,21 +222,36 @@ def _route_spec(path: PathSpec) -> Route:
 def _places_left(
     experiment: Experiment, places: Sequence[tuple[float, float]], segment: PlanSegment, begin_s: float
 ) -> tuple[tuple[float, float], ...]:
-    """Places that the centre passes after the blend and that are not beside an obstacle; always the last."""
+    """Places that the centre passes after the blend and that are not beside an obstacle; always the last.
+
+    Places are passed in their order, so that each counts up to where the next one is passed: what comes nearest to a place
+    behind that may be another part of the path.
+    """
     *before, last = places
     reach_m = float(np.hypot(*experiment.nodes_m()[:, :2].T).max()) + BESIDE_M
     free = [p for p in before if all(math.dist(p, i.position_m) > i.radius_m + reach_m for i in experiment.islands)]
-    return (*(place for place in free if _old_arrival_s(segment, place) > begin_s + BLEND_S[0]), last)
+    left, until_s = [last], _old_arrival_s(segment, last)
+    for place in reversed(free):
+        until_s = _old_arrival_s(segment, place, until_s)
+        if until_s <= begin_s + BLEND_S[0]:
+            break
+        left.append(place)
+    return tuple(reversed(left))
 
 
 def _arrival(eta: Array, place: tuple[float, float]) -> int:
-    """First sample at which a motion is as near to a place as it ever comes."""
+    """Sample at which a motion is as near to a place as it ever comes, for the last time: where it stays, the first there."""
     away = np.hypot(eta[:, 0] - place[0], eta[:, 1] - place[1])
-    return int(np.argmax(away <= away.min() + SAME_M))
+    near = np.flatnonzero(away <= away.min() + SAME_M)
+    breaks = np.flatnonzero(np.diff(near) > 1)
+    return int(near[breaks[-1] + 1 if len(breaks) else 0])
 
 
-def _old_arrival_s(segment: PlanSegment, place: tuple[float, float]) -> float:
-    return segment.centre.begin_s + segment.centre.period_s * _arrival(segment.centre.eta, place)
+def _old_arrival_s(segment: PlanSegment, place: tuple[float, float], before_s: float = math.inf) -> float:
+    """Arrival at a place on the present way, as far as it leads before an instant."""
+    centre = segment.centre
+    rows = len(centre.eta) if before_s == math.inf else max(round((before_s - centre.begin_s) / centre.period_s), 1)
+    return centre.begin_s + centre.period_s * _arrival(centre.eta[:rows], place)
 
 
 def _cut(motion: NodeMotion, samples: int) -> NodeMotion:

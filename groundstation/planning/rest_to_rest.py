@@ -16,7 +16,7 @@ from groundstation.planning import planner
 from groundstation.planning.feasibility import OutOfTime, PlanError, never
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.prioritized_planning import plan_transfers
-from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, sample
+from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, later, sample
 from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_profile, turn_samples
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
@@ -71,8 +71,9 @@ def plan_regroup(
     centre = planner.trajectory(_then_on(segment.centre, None, still, turn, progress_s, left), period_s, begin_s)
     end_s = begin_s + (still + turn) * period_s + (segment.end_s - progress_s) + 0.5 * RAMP_S
     on_s = begin_s + (still + turn) * period_s
-    path_s = segment.path_s + on_s + 0.5 * RAMP_S - progress_s
-    return PlanSegment(moved, centre, end_s, segment.is_return, segment.via, segment.forms, on_s, path_s)
+    stood_s = on_s + 0.5 * RAMP_S - progress_s
+    forms, path_s = later(segment.forms, stood_s), segment.path_s + stood_s
+    return PlanSegment(moved, centre, end_s, segment.is_return, segment.via, forms, on_s, path_s)
 
 
 def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], away: Array) -> float:

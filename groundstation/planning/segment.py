@@ -6,7 +6,7 @@ runs along the trajectories; it never goes back.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +33,7 @@ class PlanSegment:
     end_s: float
     is_return: bool = False
     via: tuple[tuple[float, float], ...] = ()  # places that the operator gave instead of the path's
-    forms: tuple[Change, ...] = ()  # that the operator gave, besides the experiment's changes
+    forms: tuple[Change, ...] = ()  # that the operator gave, besides the experiment's changes, which count from path_s
     transfer_end_s: float = 0.0  # until then robots fly separate transfers into their slots; the centre stands
     path_s: float = 0.0  # at which the path began, or would have without the times at rest and in transfers
 
@@ -43,12 +43,16 @@ class PlanSegment:
 
 
 def with_forms(experiment: Experiment, segment: PlanSegment) -> Experiment:
-    """The experiment with the changes of form that the operator gave among its own."""
-    if not segment.forms:
-        return experiment
-    changes = tuple(sorted((*experiment.formation.changes, *segment.forms), key=lambda change: change.at_s))
+    """The experiment with the changes of form that the operator gave among its own, all on the clock of the segment."""
+    own = later(experiment.formation.changes, segment.path_s)
+    changes = tuple(sorted((*own, *segment.forms), key=lambda change: change.at_s))
     formation = experiment.formation.model_copy(update={"changes": changes})
     return experiment.model_copy(update={"formation": formation})
+
+
+def later(changes: Iterable[Change], seconds: float) -> tuple[Change, ...]:
+    """Changes of form, each so much later."""
+    return tuple(change.model_copy(update={"at_s": change.at_s + seconds}) for change in changes)
 
 
 def first_segment(experiment: Experiment, out_of_time: OutOfTime = never) -> PlanSegment:

@@ -134,6 +134,7 @@ def errors(comparison: Comparison) -> PaperFigure:
 
 
 def _errors(comparison: Comparison, width_in: float) -> Figure:
+    """A panel for each RMS: a row for each variant, with a dot for each flight, their mean and its interval."""
     keys = [c for c in COLUMNS if c.key in ("rms_m", "rms_after_20s_m", "formation_after_20s_m")]
     keys = keys if len(comparison.robots) > 1 else keys[:2]
     figure, grid = _rows_of(comparison, len(keys), width_in)
@@ -159,6 +160,7 @@ def demands(comparison: Comparison) -> PaperFigure:
 
 
 def _demands(comparison: Comparison, width_in: float) -> Figure:
+    """Bars for each variant: the share of steps in which more was wanted than the limits allow, and the change per step."""
     figure, (left, right) = _rows_of(comparison, 2, width_in, TOP_IN)
     for i, variant in enumerate(comparison.variants):
         for shift, key, tone in ((-0.2, "wanted_too_large", COLOURS[1]), (0.2, "wanted_too_fast", COLOURS[4])):
@@ -244,6 +246,7 @@ def wanted(comparison: Comparison) -> PaperFigure | None:
 
 
 def _wanted(comparison: Comparison, traced_variants: Sequence[tuple[Variant, Traces]], width_in: float) -> Figure:
+    """Surge that was wanted and applied over time, of each variant's robot that wanted most."""
     panels = []
     for _, traces in traced_variants:
         most = int(np.argmax([np.abs(each).max() for each in traces.wanted_n]))

@@ -73,6 +73,7 @@ def space(series: Series) -> PaperFigure | None:
 
 
 def _space(series: Series, by_robot: dict[int, RobotSeries], width_in: float) -> Figure:
+    """References and true paths in three dimensions, with the formation at some instants."""
     figure = Figure(figsize=(width_in, 0.2 + 3.8 * max(width_in / WIDTH_IN, 0.65)))
     axes: Any = figure.add_subplot(projection="3d")  # Any: mpl_toolkits ships no types
     figure.subplots_adjust(left=0.0, right=1.0 - 0.43 / width_in, top=1.0, bottom=0.06)
@@ -103,6 +104,7 @@ def paths(series: Series) -> PaperFigure | None:
 
 
 def _paths(series: Series, width_in: float) -> Figure:
+    """References and true paths from above, with walls, islands, drifters and the formation at some instants."""
     length, width, _ = series.experiment.pool.size_m
     low, high = _extent(series)
     inside_in = (width_in - LEFT_IN - RIGHT_IN) * float((high - low)[1] / (high - low)[0])

@@ -182,6 +182,7 @@ def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
 
 
 def _draw(kind: Kind, series: Series) -> Drawn:
+    """Draw a figure of a kind: numbers for the page's plots, or an SVG."""
     plot = kind.draw(series)
     if plot is None or isinstance(plot, PaperFigure):
         # our own picture, with texts that matplotlib has escaped

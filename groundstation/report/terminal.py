@@ -37,6 +37,7 @@ def lines(result: Result) -> Iterator[str]:
 
 
 def _table(result: Result) -> Iterator[str]:
+    """Lines of the table of errors: over all time and from 20 s on, beside the article's where it has the robot."""
     rows = result.rows
     with_article = result.is_whole and any(row.article for row in rows.values())
     groups = GROUPS if with_article else GROUPS[:2]

@@ -172,6 +172,7 @@ class ConnectedFleet:
         return self._ask(name, request_named(name), wait_s)
 
     def _ask(self, name: str, command: Command, wait_s: float | None) -> Outcome:
+        """Send a request and follow it until it is done. Raises RequestFailed."""
         patience_s = client.patience_s(command) if wait_s is None else wait_s
         reply = client.follow(client.sender(self._bus), command, self._time.limit(patience_s), lambda outcome: None)
         if reply.outcome is not None and reply.outcome.progress is Progress.UNDER_WAY:
@@ -278,6 +279,7 @@ class ConnectedFleet:
         return received is not None and self._time.age_s(received) <= max_age_s
 
     def _newest(self, inboxes: dict[int, Inbox[M]], robot: int, what: str, max_age_s: float) -> M:
+        """The newest message of a robot, for which it waits. Raises NotHeard if none is young enough."""
         inbox = inboxes.get(robot)
         if inbox is None:
             raise NotHeard(f"robot {robot}: no such robot (allowed: {ROBOTS.start} to {ROBOTS.stop - 1})")
@@ -288,6 +290,7 @@ class ConnectedFleet:
         return received.message
 
     def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        """Keep an event, and the mission's last line, for those that wait for one."""
         try:
             event: Event = decode(Event, payload, key, topic.name)
         except DecodeError:

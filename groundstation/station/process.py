@@ -38,7 +38,9 @@ DISARM_WITHIN_S = 2.0  # of robots that rest then
 FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
 IDLE_S = 600.0  # without a request, then a run that a person has taken over is ended: time to fetch a robot from the water
 IDLE_ALONE_S = 60.0  # the same while no page is open: time for the next command in a terminal
-INTERRUPTED = "interrupted: Ctrl-C in the terminal"  # groundstation/analysis/cause.py knows it
+# groundstation/analysis/cause.py knows both
+INTERRUPTED = "interrupted: Ctrl-C in the terminal"
+TERMINATED = "interrupted: by another program, or its terminal was closed"
 
 
 class TimeOwner(NamedTuple):
@@ -121,7 +123,8 @@ def cycles(
         end = EndOfRun(station, server)
         if instants is not None:
             yield from _cycles_at(instants, station, end)
-            _tell_interruption(stop)
+            if not station.ended:
+                _tell_interruption(stop)
         else:
             _wall_loop(station, stop, end)
         _conclude(station, server, stop, run_dir)
@@ -149,9 +152,9 @@ def _conclude(station: Station, server: WebServer | None, stop: Stop, run_dir: P
 
 
 def _tell_interruption(stop: Stop) -> None:
-    """Record a person's Ctrl-C."""
-    if stop.interrupted:
-        log.info(INTERRUPTED)
+    """Record that the program was told to end, and by whom."""
+    if stop.requested and not stop.failure:
+        log.info(INTERRUPTED if stop.interrupted else TERMINATED)
 
 
 def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:
@@ -230,6 +233,7 @@ class _Leaving:
 
 
 def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
+    """Run a cycle of the station each control period, and earlier when it is woken, until the run is over."""
     period_ns = round(station.experiment.controller.period_s * 1e9)
     due_ns, leaving = time.monotonic_ns(), _Leaving(station, stop)
     while not stop.requested or not leaving.over():

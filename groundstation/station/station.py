@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
@@ -90,6 +91,20 @@ def workers(robots: int) -> Iterator[Workers]:
             closing.set()
 
 
+class PublishedPaths(NamedTuple):
+    """Paths as they were published last."""
+
+    segment: PlanSegment
+    alone: Mapping[int, Trajectory]  # of robots that fly alone
+
+
+class PlanTask(NamedTuple):
+    """A plan that is being computed."""
+
+    request: PlanRequest
+    outcome: "Future[PlanSegment | PlanError]"
+
+
 @dataclass
 class Station:
     """The station's cycle and its state. Other threads hold `lock`, or read only what is replaced and never changed: `views`,
@@ -105,8 +120,8 @@ class Station:
     workers: Workers
     links: dict[int, LinkMonitor] = field(default_factory=dict)
     views: Fleet = field(default_factory=dict)  # as of the last cycle
-    planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
-    published: tuple[PlanSegment, Mapping[int, Trajectory]] | None = None  # segment, and what robots fly alone
+    planning: "dict[str, PlanTask]" = field(default_factory=dict)
+    published: PublishedPaths | None = None
     obstacles_up_to_ns: int | None = None  # where time waits: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
@@ -211,14 +226,15 @@ class Station:
         where time waits at once. An outcome is dropped if no request waits for it any more."""
         for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
-                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience(wanted))
+                outcome = self.workers.plans.submit(_planned, wanted, self._patience(wanted))
+                self.planning[name] = PlanTask(wanted, outcome)
             if self.clock.waits and name in self.planning:
-                self._await_unlocked(self.planning[name][1])
+                self._await_unlocked(self.planning[name].outcome)
         for name, wanted in self.core.plan_requests():  # asked again: requests came while this waited
-            if name in self.planning and (self.clock.waits or self.planning[name][1].done()):
-                task, outcome = self.planning.pop(name)
-                if task is wanted:
-                    self.core.planned(name, outcome.result(), self.views, now_ns)
+            if name in self.planning and (self.clock.waits or self.planning[name].outcome.done()):
+                task = self.planning.pop(name)
+                if task.request is wanted:
+                    self.core.planned(name, task.outcome.result(), self.views, now_ns)
 
     def _patience(self, plan: PlanRequest) -> OutOfTime:
         """Limit of time of a plan that begins now: while it is wanted, for its owner's next one waits until it has ended; and
@@ -244,15 +260,17 @@ class Station:
         beginning, or what it flies alone."""
         segment, trips = self.mission.segment, self.single.trips
         alone = {robot: trajectory for robot, (trajectory, _) in trips.items()}
-        if self.published is not None and segment is self.published[0] and alone == self.published[1]:
+        is_same_segment = self.published is not None and self.published.segment is segment
+        alone_before = self.published.alone if self.published is not None and is_same_segment else None
+        if alone == alone_before:
             return
-        before = self.published[1] if self.published is not None and segment is self.published[0] else None
         for robot, trajectory in self.mission.roster.history.items():
             flown = alone.get(robot, trajectory)
-            if before is None or flown is not before.get(robot, trajectory):
+            if alone_before is None or flown is not alone_before.get(robot, trajectory):
                 self.bus.publish(topics.TRAJECTORY, flown, now_ns, robot)
-        self.paths = {r: (t, segment.end_s) for r, t in self.mission.roster.trajectories(segment).items()} | trips
-        self.published = segment, alone
+        formation = self.mission.roster.trajectories(segment)
+        self.paths = {robot: (trajectory, segment.end_s) for robot, trajectory in formation.items()} | trips
+        self.published = PublishedPaths(segment, alone)
 
     def _answers(self) -> list[CommandResult]:
         """The replies that have come since the last call, each once: a command is asked once whether it is answered."""
@@ -346,7 +364,7 @@ class Station:
     def disarm(self) -> None:
         """Disarm every robot: the station is about to leave. No person has asked for it, so no request is logged."""
         with self.lock:
-            self.core.request(CommandKind.END, self.fleet(), self.clock.now_ns())
+            self.core.leave(self.fleet(), self.clock.now_ns())
 
     def has_power(self) -> bool:
         """True while a robot that is heard may put out thrust."""
@@ -384,6 +402,7 @@ class Station:
             tuning=self.tuner.status(),
             laps=self.core.laps.laps(),
             preflight=blocking_findings(self.experiment, self.views, mission.plans.starts),
+            refused=mission.refusals(self.views) if self.views else {},
             views=self.views,
             requests=self.requests.recent,
             ended=self.ended,
@@ -422,6 +441,7 @@ def _shown(text: str) -> str:
 
 
 def _planned(wanted: PlanRequest, out_of_time: OutOfTime) -> PlanSegment | PlanError:
+    """Plan in the planner's thread. Returns the plan, or the reason why there is none."""
     try:
         return wanted.plan(out_of_time)
     except PlanError as error:

@@ -23,6 +23,9 @@ class ShownStatus:
     tuning: GainStatus | None = None
     laps: Sequence[Lap] = ()
     preflight: tuple[Finding, ...] = ()  # why not to arm
+    refused: Mapping[CommandKind, str] = field(
+        default_factory=dict
+    )  # requests that the state allows, and why they are refused
     requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
     ended: bool = False  # a person has ended the run
     flown: str = ""  # name of the experiment whose path is flown, and the path's duration

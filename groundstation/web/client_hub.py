@@ -20,9 +20,10 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
 from groundstation.web.backend import Backend
-from groundstation.web.experiment_editor import attempt, drafted, flight_text, save
+from groundstation.web.experiment_editor import attempt, drafted, flight_text, loadable, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
+from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.errors import ConfigError
 from shoal.messages.messages import CommandKind, DriveVelocity
 from shoal.runtime.runtime import log
@@ -41,6 +42,8 @@ DRIVE_VALID_S = 1.0  # the same for a velocity: a person steers by what the page
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
 FAREWELL_S = 0.2  # for pages to be sent the last state
 HEAD = struct.Struct("<If")
+FILES_WITHIN_S = 3.0  # what a page of a run that is flown waits for its files
+NO_FILES = {"report": "", "end": None, "loadable": ()}  # of a run, where they cannot be read
 
 # WebSocket close codes of our own
 TOO_MANY, ELSEWHERE, NOT_ALLOWED, BAD_REQUEST = 4001, 4002, 4003, 4000
@@ -125,6 +128,7 @@ class ClientHub:
         self._orders = ThreadPoolExecutor(1, "page-order")  # one: what was asked for first is done first
         self._plans = ThreadPoolExecutor(2, "page-plan")
         self._runs = ThreadPoolExecutor(1, "page-runs")
+        self._files = ThreadPoolExecutor(1, "page-files")
 
     @property
     def watched(self) -> bool:
@@ -141,7 +145,7 @@ class ClientHub:
 
     def close(self) -> None:
         """Wait for nothing that is still at work."""
-        for threads in (self._stops, self._orders, self._plans, self._runs):
+        for threads in (self._stops, self._orders, self._plans, self._runs, self._files):
             threads.shutdown(wait=False, cancel_futures=True)
 
     async def pump(self) -> None:
@@ -186,6 +190,7 @@ class ClientHub:
         frame = {
             "k": "picture",
             "stamp_ms": time.time() * 1e3,
+            "clock_ms": int(time.monotonic() * 1e3),
             "camera": camera,
             "age_ms": picture.age_ms,
             "time_s": picture.time_s,
@@ -237,19 +242,33 @@ class ClientHub:
         self._count += 1
         watcher = Client(self._count, websocket, hello.page, self._camera(hello.camera))
         events = [msgspec.Raw(body) for body in self._history]
-        scene = self._source.scene() | {"report": self._desk.shown_report, "end": self._desk.shown_end}
-        watcher.answer({"k": "hello", "you": watcher.id, "scene": scene, "events": events})
+        greeting: dict[str, Any] = {"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events}
         watcher.answer({"k": "past", "states": self._source.past()})
         self._replace(watcher)
         self._watchers[watcher.id] = watcher
         self._offer_now()
-        sender = asyncio.create_task(_send(websocket, watcher))
+        sender = asyncio.create_task(self._greet(websocket, watcher, greeting))
         try:
             await self._listen(websocket, watcher)
         finally:
             sender.cancel()
             del self._watchers[watcher.id]
             self._lease.leave(watcher.id)
+
+    async def _greet(self, websocket: WebSocket, watcher: Client, greeting: dict[str, Any]) -> None:
+        """Send a page its greeting, with what the disk has for it, and then all that comes. A disk that hangs keeps no page
+        from stopping the fleet, not this one either; and none from a run that is flown, which goes on without it."""
+        reading = asyncio.create_task(self._at(self._files, lambda _: NO_FILES, self._files_of_run))
+        scene = greeting["scene"]
+        await asyncio.wait({reading}, timeout=None if scene["mode"] == "replay" else FILES_WITHIN_S)
+        scene |= reading.result() if reading.done() else NO_FILES
+        watcher.window.greet(packed(greeting))
+        await _send(websocket, watcher)
+
+    def _files_of_run(self) -> dict[str, Any]:
+        """The part of a scene that is on the disk."""
+        experiments = loadable(self._source.experiment.robot_ids)
+        return {"report": self._desk.shown_report, "end": self._desk.shown_end, "loadable": experiments}
 
     async def _introduced(self, websocket: WebSocket) -> protocol.Hello | None:
         """The first thing that a connection says, if it is a hello and comes in time."""
@@ -283,6 +302,10 @@ class ClientHub:
             except WebSocketDisconnect:
                 return
             except protocol.BadRequest as error:
+                if error.answer is not None:  # else what a person types would end the control over robots that fly
+                    self._lease.note_life(watcher.id, time.monotonic())
+                    watcher.answer(error.answer)
+                    continue
                 log.warning("page: a message that is none of ours: %s", error)
                 await websocket.close(BAD_REQUEST, str(error).encode()[:REASON_BYTES].decode(errors="ignore"))
                 return
@@ -347,6 +370,17 @@ class ClientHub:
             log.error("page: a request %s", reason, exc_info=error)
             return failed(reason)
 
+    async def _in_turn(self, objection: Callable[[], str], failed: Callable[[str], T], do: Callable[[], T]) -> T:
+        """Result of an order in the one thread of orders; judged again when its turn has come, for those before it may have
+        taken long."""
+
+        def judged() -> T:
+            reason = objection()
+            return failed(reason) if reason else do()
+
+        reason = objection()
+        return failed(reason) if reason else await self._at(self._orders, failed, judged)
+
     async def _follow(self, watcher: Client, kind: type[protocol.Request]) -> None:
         """Deal with the newest request of a kind, and again while newer ones come; those in between are passed over."""
         try:
@@ -360,7 +394,7 @@ class ClientHub:
         finally:
             watcher.busy.discard(kind)
 
-    def _void(self, seen_ms: int, valid_s: float = ORDER_VALID_S) -> str:
+    def _void(self, seen_ms: int, valid_s: float) -> str:
         """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
         late_s = time.monotonic() - seen_ms * 1e-3
         if late_s < -1.0:  # a page that was open when this computer started anew, and has seen nothing of this station
@@ -372,9 +406,12 @@ class ClientHub:
         if order is CommandKind.STOP:
             reason, number = await self._at(self._stops, _refused, self._source.station.request, order)
         else:
-            reason = self._may_command(watcher) or self._void(request.seen_ms)
-            if not reason:
-                reason, number = await self._at(self._orders, _refused, self._order, order, request)
+
+            def objection() -> str:
+                late = "" if order in ALWAYS_TAKEN else self._void(request.seen_ms, ORDER_VALID_S)
+                return self._may_command(watcher) or late
+
+            reason, number = await self._in_turn(objection, _refused, lambda: self._order(order, request))
         self._answer(watcher, request.n, request.order, reason, number)
 
     def _order(self, order: CommandKind, request: protocol.OrderRequest) -> tuple[str, int]:
@@ -388,18 +425,20 @@ class ClientHub:
     async def _drive(self, watcher: Client, drive: protocol.DriveRequest) -> None:
         """Tell the station a velocity. The page hears of refusals alone."""
         velocity = DriveVelocity(drive.surge_mps, drive.heave_mps, drive.yaw_rate_radps)
-        reason = self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S)
-        if not reason:
-            reason = await self._at(self._orders, str, self._source.station.drive, drive.robot, velocity)
+        reason = await self._in_turn(
+            lambda: self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S),
+            str,
+            lambda: self._source.station.drive(drive.robot, velocity),
+        )
         if reason:
             watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:
-        reason, number = self._may_command(watcher) or self._void(request.seen_ms), 0
-        if not reason:
-            reason, number = await self._at(
-                self._orders, _refused, self._source.station.request_gains, request.values, request.next_lap
-            )
+        reason, number = await self._in_turn(
+            lambda: self._may_command(watcher) or self._void(request.seen_ms, ORDER_VALID_S),
+            _refused,
+            lambda: self._source.station.request_gains(request.values, request.next_lap),
+        )
         self._answer(watcher, request.n, "tune", reason, number)
 
     def _answer(self, watcher: Client, n: int, order: str, reason: str, number: int) -> None:

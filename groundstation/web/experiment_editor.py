@@ -104,7 +104,7 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
         try:
             drafted, problems = planner.draft(changed, out_of_time)
         except ConfigError:
-            shown |= _shown_to_its_end(changed, out_of_time)
+            shown |= _shown_as_far_as_planned(changed, out_of_time)
             raise
         shown |= _shown(changed, drafted.trajectories)
         if not problems:
@@ -178,8 +178,9 @@ def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> di
     }
 
 
-def _shown_to_its_end(experiment: Experiment, out_of_time: OutOfTime) -> dict[str, Any]:
-    """Paths that end before the run, as far as they go; nothing of others that cannot be planned."""
+def _shown_as_far_as_planned(experiment: Experiment, out_of_time: OutOfTime) -> dict[str, Any]:
+    """For an experiment that cannot be planned because its path ends before the run: the path to its end. Empty for others
+    that cannot be planned."""
     with contextlib.suppress(ConfigError, ValueError):
         if isinstance(experiment.path, Waypoints):
             end_s = make_path(experiment.path).end_s

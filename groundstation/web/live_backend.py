@@ -14,7 +14,6 @@ from groundstation.mission.state_machine import READY, MissionState, order_name,
 from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import ShownPicture, StationApi
-from groundstation.web.experiment_editor import loadable
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_paths, scene
 from groundstation.web.snapshot import (
@@ -82,7 +81,6 @@ class LiveBackend:
         """Constants of the run, and the paths that are flown now."""
         run = str(self.run_dir or "")
         constants = scene(self.experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
-        constants["loadable"] = loadable(self.experiment.robot_ids)
         return constants if self._drawn is None else constants | {"paths": flown_paths(self._drawn)}
 
     def paths(self) -> list[dict[str, Any]] | None:

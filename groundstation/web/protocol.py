@@ -1,6 +1,6 @@
 """Messages from the page to the station: small JSON texts, checked field by field, refused if they do not fit. Pure."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -195,8 +195,34 @@ Request = (
 _DECODER = msgspec.json.Decoder(Request)
 
 
+class _Numbered(msgspec.Struct, frozen=True):
+    """The part of a request by which its answer finds the page's question."""
+
+    kind: str
+    n: Count
+
+
+_ANSWERS = {"order": "reply", "tune": "reply", "try": "tried", "draft": "drafted", "save": "saved", "after": "chosen"}
+
+
+def _refusal(text: str | bytes, reason: str) -> dict[str, Any] | None:
+    """The answer to a request of ours with a value that is not allowed; None for any other text."""
+    try:
+        request = msgspec.json.decode(text, type=_Numbered)
+    except (msgspec.DecodeError, UnicodeError, RecursionError):
+        return None
+    if request.kind not in _ANSWERS:
+        return None
+    answer = {"k": _ANSWERS[request.kind], "n": request.n, "order": request.kind, "request": 0}
+    return answer | {"ok": False, "reason": reason, "problems": [reason]}
+
+
 class BadRequest(Exception):
-    """A text that is no request; says what is wrong with it."""
+    """A text that is no request; says what is wrong with it. `answer`: for the page, where a person may have typed it."""
+
+    def __init__(self, reason: str, answer: dict[str, Any] | None = None) -> None:
+        super().__init__(reason)
+        self.answer = answer
 
 
 def read_request(text: str | bytes) -> Request:
@@ -207,4 +233,4 @@ def read_request(text: str | bytes) -> Request:
         request: Request = _DECODER.decode(text)
         return request
     except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
-        raise BadRequest(str(error)) from None
+        raise BadRequest(str(error), _refusal(text, str(error))) from None

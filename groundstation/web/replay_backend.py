@@ -2,7 +2,7 @@
 
 import math
 import time
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -43,7 +43,8 @@ from shoal.messages.topics import Topic
 
 BLOCK_NS = 1_000_000_000
 KEPT_BLOCKS = 8
-LOOK_BACK = 2  # blocks: what was last said before that is long stale
+LOOK_BACK = 2  # blocks: what was last said before that is long stale,
+LASTING = (topics.STATE, topics.POSE, topics.LOCALIZER, topics.HEARTBEAT)  # but of these it is shown, with its age
 LINK_BLOCKS = 5  # LINK_WINDOW messages of a robot
 PAST_ROWS = 1200  # of a whole run, for plots and trails
 PAST_EVERY_NS = 250_000_000  # and no row sooner after another
@@ -73,11 +74,23 @@ class LogPlayer:
             self._opened = opened.pop_all()
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns - self._log.start_ns
         self._blocks: OrderedDict[int, LogBlock] = OrderedDict()
+        self._block_numbers = self._numbers_of_blocks()
+        self._last: dict[tuple[str, int, int], Any] = {}  # by topic, robot and block: what was newest behind that block
         self.segments = self._segments()
         self.trajectories = {robot: changes[-1][1] for robot, changes in self.segments.items()}
         self.flown_ns, self._zero_ns = self._first_flown_ns()
         self._begun = list(self._flights())
         self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
+
+    def _numbers_of_blocks(self) -> dict[tuple[str, int], list[int]]:
+        """Numbers of the blocks, ascending, with a message of a lasting topic and robot."""
+        blocks: dict[tuple[str, int], list[int]] = {}
+        for line in self._log.messages(lambda topic, _: topic in LASTING):
+            numbers = blocks.setdefault((line.topic.name, line.robot), [])
+            number = (line.arrived_ns - self.start_ns) // BLOCK_NS
+            if numbers[-1:] != [number]:
+                numbers.append(number)
+        return blocks
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
         for line in self._log.messages(lambda t, r: t is topic and robot in (None, r)):
@@ -152,8 +165,20 @@ class LogPlayer:
         return self._blocks[index]
 
     def newest(self, topic: Topic, kind: type[M], at_ns: int, robot: int = 0) -> tuple[int, M] | None:
-        """The newest message at a time, and the instant that it is about; None if there is none, or none that can be read. One
-        that came twice, or late behind the next, is not the newest again."""
+        """The newest message at a time, and the instant that it is about; None if there is none, or none that can be read."""
+        newest, now = self._recent(topic, kind, at_ns, robot), at_ns // BLOCK_NS
+        numbers = self._block_numbers.get((topic.name, robot), [])
+        before = numbers[: bisect_left(numbers, now - LOOK_BACK + 1)][-1:]
+        if newest is not None or not before:
+            return newest
+        of = topic.name, robot, before[0]
+        if of not in self._last:
+            self._last[of] = self._recent(topic, kind, (before[0] + 1) * BLOCK_NS - 1, robot)
+        last: tuple[int, M] | None = self._last[of]
+        return last
+
+    def _recent(self, topic: Topic, kind: type[M], at_ns: int, robot: int) -> tuple[int, M] | None:
+        """The newest message of the last blocks. One that came twice, or late behind the next, is not the newest again."""
         last: tuple[Header, int, bytes] | None = None
         for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LOOK_BACK, -1), -1):
             arrivals, payloads, headers = self._block(index).messages.get((topic.name, robot), ([], [], []))
@@ -217,20 +242,27 @@ class LogPlayer:
         return past_row(snapshot(FleetSnapshot(time_s=at_ns * 1e-9, robots=robots, localizer=aged(topics.LOCALIZER))))
 
     def link(self, robot: int, at_ns: int) -> LinkMonitor:
-        """Link and clock of a robot as the station knew them at a time. The age that a sender stated is not in the log; of a
-        state it is about the time that its control step took."""
-        link, newest = LinkMonitor(), self.newest(topics.STATE, RobotState, at_ns, robot)
+        """Link and clock of a robot as the station knew them at a time, by the last states until then.
+
+        The log does not record how old a message was when it was sent. For a state that is about the duration of its control
+        step, and nothing in lockstep, where a message arrives at its stamp.
+        """
+        link = LinkMonitor()
+        newest = self.newest(topics.STATE, RobotState, at_ns, robot)
         if newest is None:
             return link
-        window: list[tuple[Header, int]] = []
-        for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LINK_BLOCKS, -1), -1):
+        _, state = newest
+        step_ns = round(state.timing.step_us * 1e3)
+        last_block = at_ns // BLOCK_NS
+        received: list[tuple[Header, int]] = []  # header and arrival in ns from the log's start, ascending
+        for index in range(max(last_block - LINK_BLOCKS + 1, 0), last_block + 1):
             arrivals, _, headers = self._block(index).messages.get((topics.STATE.name, robot), ([], [], []))
-            k = bisect_right(arrivals, at_ns)
-            window = [*zip(headers[:k], arrivals[:k], strict=True), *window]
-        for header, arrived in window[-LINK_WINDOW:]:
-            arrived_ns = arrived + self.start_ns  # in lockstep the stamp itself
-            held_ns = round(newest[1].timing.step_us * 1e3) if arrived_ns != header.stamp_ns else 0
-            link.add((header,), header, arrived_ns - held_ns)
+            count = bisect_right(arrivals, at_ns)
+            received += zip(headers[:count], arrivals[:count], strict=True)
+        for header, arrival_ns in received[-LINK_WINDOW:]:
+            arrived_ns = arrival_ns + self.start_ns
+            is_lockstep = arrived_ns == header.stamp_ns
+            link.add((header,), header, arrived_ns if is_lockstep else arrived_ns - step_ns)
         return link
 
     def close(self) -> None:
@@ -411,7 +443,8 @@ class ReplayBackend:
             return []
         then_ns = max(now_ns - self._log.flown_ns + self._against.flown_ns, 0)
         states = ((r, self._against.newest(topics.STATE, RobotState, then_ns, r)) for r in self._against.experiment.robot_ids)
-        estimates = ((r, state[1].estimate) for r, state in states if state is not None)
+        young = ((r, state) for r, state in states if state is not None and then_ns - state[0] < LOOK_BACK * BLOCK_NS)
+        estimates = ((r, state[1].estimate) for r, state in young)
         return [{"id": r, "eta": floats(estimate.eta)} for r, estimate in estimates if estimate is not None]
 
     def picture(self, camera: str, shown_ns: int) -> ShownPicture | None:

@@ -28,6 +28,10 @@ class SendWindow:
         """Queue something that the page waits for. The oldest go when the page asks and takes none."""
         self._answers.append(body)
 
+    def greet(self, body: bytes) -> None:
+        """Queue what the page is to hear before anything else."""
+        self._answers.appendleft(body)
+
     def note(self, body: bytes) -> None:
         """Queue an event. The oldest go when the page takes none."""
         self._notes.append(body)

@@ -78,6 +78,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "mission_text": news.mission_text,
         "reason": status.reason,
         "allowed": list(news.allowed),
+        "refused": {order_name(order): reason for order, reason in status.refused.items()},
         "preflight": [{"robot": finding.robot, "text": finding.message} for finding in status.preflight],
         "stop": news.emergency_stop,
         "alarms": [{"level": a.level, "key": a.key, "robot": a.robot, "text": a.text} for a in news.alarms],

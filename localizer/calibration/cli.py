@@ -126,11 +126,13 @@ def print_markers(
 
 def _numbers(text: str) -> list[int]:
     """The numbers of a list such as `0,3,7-9`, each once. Raises ConfigError."""
-    match = re.fullmatch(r"\s*\d{1,4}(\s*-\s*\d{1,4})?(\s*,\s*\d{1,4}(\s*-\s*\d{1,4})?)*\s*", text)
-    ends = [[int(end) for end in part.split("-")] for part in text.split(",")] if match else []
-    numbers = [number for first, *last in ends for number in range(first, (last or [first])[0] + 1)]
-    if not numbers or any(last < [first] for first, *last in ends if last):
-        raise ConfigError(f"--ids {text}: must be a list of ids and ranges, for example 1-6 or 0,3,7-9")
+    numbers: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, -1)
+        if last < first:
+            raise ConfigError(f"--ids {text}: must be a list of ids and ranges, for example 1-6 or 0,3,7-9")
+        numbers += range(first, last + 1)
     return list(dict.fromkeys(numbers))
 
 

@@ -81,6 +81,7 @@ def place_errors_m(fit: PoseFit, points: Sequence[SurveyPoint]) -> Array:
 
 
 def _check_pixels(camera: Camera, points: Sequence[SurveyPoint], pixels: Array) -> None:
+    """Raise ConfigError for points outside the picture, and for points on one line."""
     width, height = camera.size_px
     for point, (u, v) in zip(points, pixels, strict=True):
         if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):

@@ -171,6 +171,7 @@ def _deviations(jacobians: Sequence[Array], residuals: Sequence[Array], without_
 
 
 def _held_out_rms_px(fit: IntrinsicsFit) -> float | None:
+    """RMS error in views that a lens was not fitted to, by cross-validation; None with too few views."""
     views, flags = fit.views, 0 if fit.lens.distortion[4] else cv2.CALIB_FIX_K3
     if len(views) - len(views) // _FOLDS - 1 < FEWEST_VIEWS:
         return None

@@ -126,6 +126,7 @@ def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[SurveyPoint], 
 
 
 def _pose_warnings(fit: PoseFit, points: Sequence[SurveyPoint]) -> list[str]:
+    """Warnings about a camera's fitted pose: few points, one that does not fit, a poor fit, none under water."""
     warnings = []
     if len(points) < _FEW_POINTS:
         remark = (

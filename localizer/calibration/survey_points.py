@@ -62,6 +62,7 @@ class SurveyFile(Section):
 
     @model_validator(mode="after")
     def _usable(self) -> Self:
+        """Refuse points that are too few, doubled, outside the pool, or on one line."""
         size = self.pool.size_m
         if len(self.points) < FEWEST_POINTS:
             raise ValueError(f"points: {len(self.points)} given, at least {FEWEST_POINTS} are needed, better 8")

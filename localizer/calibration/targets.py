@@ -110,6 +110,7 @@ def _counts(board: str, text: str) -> tuple[int, int]:
 
 
 def _side_m(board: str, text: str) -> float:
+    """A side in metres from a board's text. Raises ConfigError."""
     try:
         side_m = float(text)
     except ValueError:
@@ -120,6 +121,7 @@ def _side_m(board: str, text: str) -> float:
 
 
 def _dictionary(board: str, name: str, squares: tuple[int, int]) -> int:
+    """Number of OpenCV's dictionary of markers, which must hold enough of them. Raises ConfigError."""
     names: Sequence[str] = [n for n in dir(cv2.aruco) if n.startswith("DICT_")]
     if name not in names:
         raise ConfigError(f"--board {board}: {name!r} is no dictionary (allowed: {', '.join(names)})")

@@ -81,11 +81,12 @@ def find_hull(
 def _across(view: RefractiveCamera, centre: Array) -> Array:
     """Two directions (2, 3) across the line of sight in the water at a point (3,), the first one without y."""
     pixel = view.pool_to_pixel(centre[None])
-    here, above = view.pixel_to_pool(pixel, centre[2])[0], view.pixel_to_pool(pixel, centre[2] - 0.01)[0]
-    down = np.array([*(here - above), 0.01])
-    down /= np.linalg.norm(down)
-    first = np.array([down[2], 0.0, -down[0]]) / np.hypot(down[0], down[2])
-    return np.array([first, _cross(down, first)])
+    here = view.pixel_to_pool(pixel, centre[2])[0]
+    above = view.pixel_to_pool(pixel, centre[2] - 0.01)[0]  # on the same line of sight, 0.01 m higher
+    sight = np.array([*(here - above), 0.01])
+    sight /= np.linalg.norm(sight)
+    first = np.array([sight[2], 0.0, -sight[0]]) / np.hypot(sight[0], sight[2])
+    return np.array([first, _cross(sight, first)])
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -104,6 +104,7 @@ class _TimedSource:
         return self._source.trouble
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        """The source's frames for the time of the measurement. Keeps each one's times, by our own clock."""
         end_ns = self._clock.now_ns() + round(self._seconds * 1e9)
         for captured in self._source.frames(stop):
             if captured is not None:  # by our own clock: a stamp of another would be carried over, and not be known again

@@ -66,6 +66,7 @@ class GroundTruthTrajectory:
         return pose if pose is not None and np.all(np.isfinite(pose)) else None
 
     def _interpolated(self, stamp_ns: int) -> Array | None:
+        """The true pose at an instant, between two known ones that are not far apart; None elsewhere."""
         after = int(np.searchsorted(self.stamp_ns, stamp_ns))
         if after < len(self.stamp_ns) and self.stamp_ns[after] == stamp_ns:
             return np.array(self.pose[after])
@@ -173,6 +174,7 @@ def _change(before: _PoseError, after: _PoseError) -> _PoseError:
 
 
 def _error(published: PublishedPose, truth: Mapping[int, GroundTruthTrajectory]) -> _PoseError | None:
+    """Error of a published pose; None where the truth is not known. Swapped: nearer to another robot than to its own."""
     true = truth[published.robot].at(published.stamp_ns) if published.robot in truth else None
     if true is None:
         return None

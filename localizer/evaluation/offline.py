@@ -14,7 +14,7 @@ import glob
 import importlib
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -32,7 +32,7 @@ from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages.codec import decode, encode
 from shoal.messages.messages import Pose
-from shoal.runtime.output_files import check_named, replacing, sync_folder
+from shoal.runtime.output_files import check_named, replace_text, replacing, sync_folder
 from shoal.runtime.runtime import Failed, log
 from shoal.system.regular_files import open_regular
 
@@ -69,7 +69,7 @@ class FrameLocalizer:
     """A localizer of recorded frames. As in flight, an exception costs one frame's poses and is counted."""
 
     def __init__(self, experiment: Experiment) -> None:
-        self.failed, self.first_failure = 0, ""
+        self.failed: dict[int, str] = {}  # pictures by number, each with the reason
         self._localizer = FleetLocalizer(experiment)
 
     def poses(self, frame: RecordedFrame) -> LocalizationResult | None:
@@ -80,29 +80,30 @@ class FrameLocalizer:
             result = self._localizer.locate(frame.pixels, frame.instant_ns, frame.depths_m, attitudes)
             self._localizer.finish()
         except Exception as error:
-            self.failed += 1
-            self.first_failure = self.first_failure or f"{type(error).__name__}: {error}"
-            if self.failed == 1:
-                log.error("picture %d: %s", frame.number, self.first_failure, exc_info=error)
+            self.failed[frame.number] = reason = f"{type(error).__name__}: {error}"
+            if len(self.failed) == 1:
+                log.error("picture %d: %s", frame.number, reason, exc_info=error)
         return result
 
-    def failures(self) -> str:
-        """Text about the pictures that failed; empty if there are none."""
-        return f"{self.failed} pictures could not be localized in, the first: {self.first_failure}" if self.failed else ""
+
+def failures(failed: Mapping[int, str]) -> str:
+    """Text about pictures that failed, by number; empty if there are none."""
+    return f"{len(failed)} pictures could not be localized in, the first: {failed[min(failed)]}" if failed else ""
 
 
 # --- track
 
 
 class PoseTable:
-    """The table that `track` writes: `OUT.KEY.part` until it is whole."""
+    """The table that `track` writes: `OUT.KEY.part` until it is whole. Beside it `OUT.KEY.failed` has the pictures that
+    failed: they make no rows."""
 
     def __init__(self, out: Path, key: str) -> None:
         """`key` stands for all that the poses come from: rows of another camera, recording or setting are never gone on with.
         Raises ConfigError if Parquet cannot be written."""
         self.rows, self.frames, self.failures = 0, 0, ""
         self._out = out
-        self._part = out.with_name(f"{out.name}.{key}.part")
+        self._part, self._failed = (out.with_name(f"{out.name}.{key}.{kind}") for kind in ("part", "failed"))
         self._write = _parquet() if out.suffix == ".parquet" else _csv
 
     def check(self, resume: bool) -> None:
@@ -122,9 +123,9 @@ class PoseTable:
         ConfigError for a part of other columns, or that another program still writes, and Failed if no robot is ever found:
         then there is no table."""
         localizer, message = FrameLocalizer(experiment), ""
-        if self._part.exists():  # a device or a pipe is not opened to write
-            with os_errors_as_config_errors(self._part):
-                open_regular(self._part).close()
+        for path in filter(Path.exists, (self._part, self._failed)):  # a device or a pipe is not opened to write
+            with os_errors_as_config_errors(path):
+                open_regular(path).close()
         # What is there stays there: a run that is killed loses no more than the rows of a frame.
         with os_errors_as_config_errors(self._part), self._part.open("a", encoding="utf-8", newline="") as file:
             self._claim(file)
@@ -134,12 +135,16 @@ class PoseTable:
             table = csv.writer(file, lineterminator="\n")
             if not kept:
                 table.writerow(FIELDS)
+            failed = _failed_before(self._failed, frame_count)
             for frame in frames:
                 if frame.number < frame_count - WARM_UP_FRAMES:
                     continue
                 result = localizer.poses(frame)
                 message = result.status.message or message if result is not None else message
                 if frame.number >= frame_count:
+                    if (why := localizer.failed.get(frame.number)) is not None:
+                        failed[frame.number] = why
+                        _note_failed(self._failed, frame.number, why)
                     poses = result.poses if result is not None else ()
                     table.writerows(_row(frame.number, robot, pose, frame.stamp_ns) for robot, pose in poses)
                     file.flush()
@@ -149,13 +154,16 @@ class PoseTable:
                     yield self.frames
             file.flush()
             os.fsync(file.fileno())
-            self.failures = localizer.failures()
+            self.failures = failures(failed)
             if self.rows:
                 if self._out.exists():
                     raise ConfigError(f"{self._out}: came meanwhile (move it, then --resume: the poses are in {self._part})")
                 self._write(self._part, self._out)
-                return
-            self._part.unlink()
+            else:
+                self._part.unlink()
+            self._failed.unlink(missing_ok=True)
+        if self.rows:
+            return
         why = self.failures or message or "no marker was read"
         raise Failed(f"no robot was found in any picture: {why}; no table was written")
 
@@ -193,6 +201,23 @@ def _kept(part: Path) -> tuple[str, int]:
     whole = list(takewhile(_is_row, lines))
     last = int(whole[-1].split(",")[0]) if whole else 0
     return "".join([header, *(line for line in whole if int(line.split(",")[0]) < last)]), last
+
+
+def _failed_before(path: Path, frame: int) -> dict[int, str]:
+    """The pictures before a frame that failed, as an earlier run has noted them; no others are noted then."""
+    if not path.exists():
+        return {}
+    with open_regular(path) as file:
+        lines = file.read().decode("utf-8", "replace").splitlines(keepends=True)
+    lines = [line for line in lines if line.partition(" ")[0].isdecimal() and int(line.partition(" ")[0]) < frame]
+    replace_text(path, "".join(lines), durable=False)
+    return {int(number): why.strip() for number, _, why in (line.partition(" ") for line in lines)}
+
+
+def _note_failed(path: Path, number: int, why: str) -> None:
+    """Note that a picture failed, for a run that goes on."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(f"{number} {' '.join(why.split())}\n")
 
 
 def _is_row(line: str) -> bool:
@@ -262,7 +287,7 @@ def compare_again(folder: Path, experiment: Experiment) -> tuple[list[PoseCompar
                 largest_m[robot] = max(largest_m[robot], apart_m)
     if not frames:
         raise Failed(f"{folder}: holds no frame, so nothing was compared")
-    if localizer.failed == frames:
-        raise Failed(f"{folder}: nothing was compared: {localizer.failures()}")
+    if len(localizer.failed) == frames:
+        raise Failed(f"{folder}: nothing was compared: {failures(localizer.failed)}")
     comparisons = [PoseComparison(i, poses[i], differing[i], first.get(i), 1e3 * largest_m[i]) for i in experiment.robot_ids]
-    return comparisons, localizer.failures()
+    return comparisons, failures(localizer.failed)

@@ -27,10 +27,10 @@ from localizer.evaluation.metrics import (
     pixel_row,
     pose_rows,
 )
+from localizer.evaluation.single_object import SingleObjectTracker
 from localizer.sources.base import as_bayer
 from localizer.sources.video import VideoReader
 from localizer.tracking.fleet_localizer import FleetLocalizer
-from localizer.tracking.single_object import SingleObjectTracker
 from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array

@@ -44,6 +44,7 @@ class CameraFeed:
         self._thread.join()
 
     def _take_all(self) -> None:
+        """Hand the source's pictures to the session and the page, until it stops. The session keeps why there are none."""
         before_ns = 0
         try:
             for captured in self._source.frames(self._stop):

@@ -73,6 +73,7 @@ class PictureJudge:
 
 
 def _light(mean: float, dark: float, bright: float) -> Verdict:
+    """Judge the light by the mean grey level (of 255) and the shares of black and white pixels."""
     if bright > _MOST_BRIGHT:
         return Verdict(
             False, f"too bright: {bright:.1%} of the pixels are white (limit {_MOST_BRIGHT:.1%}): less light or gain"

@@ -4,6 +4,7 @@ GET /live is the picture (multipart JPEG), GET /state what the page shows, POST 
 of another page of the same browser has no key.
 """
 
+import asyncio
 import socket
 import subprocess
 import time
@@ -18,7 +19,7 @@ from starlette.staticfiles import StaticFiles
 
 from localizer.setup.camera_feed import CameraFeed
 from localizer.setup.session import SetupSession
-from localizer.view.local_server import LocalServer, PictureStream
+from localizer.view.local_server import LocalServer, PictureStream, page_name
 from shoal.errors import ConfigError
 from shoal.runtime.runtime import SLICE_S, Stop
 from shoal.runtime.web_access import WebOptions, token_allowed
@@ -72,20 +73,21 @@ class SetupServer:
     def _state(self, request: Request) -> Response:
         if not self._allowed(request):
             return _refused()
-        now_s = time.monotonic()
-        self._pages[request.query_params.get("page", "")[:40]] = now_s
+        now_s, page = time.monotonic(), page_name(request)
+        self._pages[page] = now_s
         self._pages = {page: at_s for page, at_s in self._pages.items() if now_s - at_s < _PAGE_GONE_S}
-        return JSONResponse(self._session.state(len(self._pages)))
+        return JSONResponse(self._session.state(len(self._pages)) | {"streams": self._stream.has_viewer(page)})
 
     async def _do(self, request: Request) -> Response:
+        """Do what the page asks for, in a thread. The reply holds a problem or what was found."""
         if not self._allowed(request):
             return _refused()
         try:
             arguments: dict[str, Any] = dict(await request.json())
         except (ValueError, TypeError, RecursionError):
             return PlainTextResponse("not a JSON object", 400)
-        if arguments.get("do") == "stop":
-            return JSONResponse({"problem": "", "found": await run_in_threadpool(_stop_fleet)})
+        if arguments.get("do") == "stop":  # in threads that nothing else takes
+            return JSONResponse({"problem": "", "found": await asyncio.to_thread(_stop_fleet)})
         try:
             answer: Any = await run_in_threadpool(self._session.do, str(arguments.pop("do", "")), arguments)
         except ConfigError as error:

@@ -191,6 +191,7 @@ class SetupSession:
             }
 
     def _lens_state(self, work: CameraWork) -> dict[str, Any]:
+        """State of the lens step, for the page."""
         lens = work.lens
         return {
             "board": lens.board,
@@ -269,6 +270,7 @@ class SetupSession:
         self._collecting = bool(arguments["on"])
 
     def _fit_lens(self, arguments: Mapping[str, Any]) -> None:
+        """Fit the lens to the collected views. What was fitted with the lens before is dropped."""
         with self._lock:
             work = self._work
         fit = work.lens.fit()
@@ -283,6 +285,7 @@ class SetupSession:
             work.lens_said, self._note = lines, summary
 
     def _put_point(self, arguments: Mapping[str, Any]) -> None:
+        """Note a survey point, given by a pixel or a marker."""
         x, y, z = (float(value) for value in arguments["pool_m"])
         pixel, marker = arguments.get("pixel_px"), arguments.get("marker_id")
         with self._lock:

@@ -172,6 +172,7 @@ class FolderSource:
         return CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
 
     def _read(self, path: Path) -> Pixels | None:
+        """A picture of a folder; None, with a warning, for a file that holds none."""
         picture = None
         with suppress(OSError):  # taken away, or no file
             picture = decode_file(path)

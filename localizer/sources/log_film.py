@@ -15,6 +15,7 @@ from shoal.runtime import mcap_records
 from shoal.system.regular_files import open_regular
 
 CLOCK_HZ = 90_000  # of a film's stamps
+WHOLE_PICTURE = b"\x00\x00\x01\x65"  # H.264: start code and head of a picture that needs no other (IDR)
 
 
 def film_of_log(log: Path, camera: str, out: Path) -> tuple[int, str]:
@@ -38,7 +39,7 @@ def film_of_log(log: Path, camera: str, out: Path) -> tuple[int, str]:
         with os_errors_as_config_errors(log), open_regular(log) as file, av.open(str(out), "w") as film:
             stream: Any = None
             for stamp_ns, packed in islice(_packets(log, file, name), kept.start, kept.stop):
-                stream = _stream(av, film, packed, rate_hz) if stream is None else stream
+                stream = _add_stream(av, film, packed, rate_hz) if stream is None else stream
                 packet = av.Packet(packed)
                 packet.stream, packet.time_base = stream, Fraction(1, CLOCK_HZ)
                 packet.pts = packet.dts = (stamp_ns - stamps_ns[0]) * CLOCK_HZ // 10**9
@@ -70,18 +71,20 @@ def _playable(pictures: Sequence[tuple[int, bool]]) -> slice:
     return slice(first, end)
 
 
-def _stream(av: Any, film: Any, packed: bytes, rate_hz: Fraction) -> Any:
-    """A stream like that of its first packet, which holds the decoder's parameters."""
-    look = av.CodecContext.create("h264", "r")
-    frames = [*look.decode(av.Packet(packed)), *look.decode(None)]
-    if not frames:
+def _add_stream(av: Any, film: Any, packed: bytes, rate_hz: Fraction) -> Any:
+    """Add an H.264 stream to the film. Its size is that of the first picture, its decoder's parameters are the bytes before
+    that picture in the first packet `packed`."""
+    decoder = av.CodecContext.create("h264", "r")
+    pictures = [*decoder.decode(av.Packet(packed)), *decoder.decode(None)]
+    if not pictures:
         raise av.error.InvalidDataError(0, "its first picture is damaged")
     stream = film.add_stream("libx264", rate=rate_hz)
-    stream.width, stream.height, stream.pix_fmt = frames[0].width, frames[0].height, "yuv420p"
-    stream.codec_context.extradata = packed[: packed.index(b"\x00\x00\x01\x65")]
+    stream.width, stream.height = pictures[0].width, pictures[0].height
+    stream.pix_fmt = "yuv420p"
+    stream.codec_context.extradata = packed[: packed.index(WHOLE_PICTURE)]
     return stream
 
 
 def _begins(packed: bytes) -> bool:
     """True for a picture that needs no other one."""
-    return b"\x00\x00\x01\x65" in packed
+    return WHOLE_PICTURE in packed

@@ -172,6 +172,7 @@ class FrameRecorder:
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._frames)
 
     def _register(self, topic: str, kind: type | None) -> int:
+        """Number of a new channel of the recording, of a message's type or of JSON."""
         from mcap_protobuf.schema import build_file_descriptor_set
 
         if kind is None:

@@ -202,6 +202,7 @@ class V4l2Source:
             self._newest.put(self._captured(pixels, driver_ns, arrived_ns))
 
     def _captured(self, pixels: Any, driver_ns: int, arrived_ns: int) -> CapturedFrame:
+        """A frame stamped with the middle of its exposure, by the driver's clock where that is ours."""
         marks, oldest_ns = self._camera.stamp_marks, self._oldest_ns
         middle_ns, stamped = middle_of_exposure_ns(driver_ns, arrived_ns, self._exposure_ns, marks, oldest_ns)
         if stamped:
@@ -219,6 +220,7 @@ class V4l2Source:
             log.error("camera %s; trying again", self.trouble)
 
     def _configure(self, capture: Capture) -> None:
+        """Set the camera as the experiment says, warn of what it refuses, and read the exposure that it has."""
         refused = configure(capture, self._camera)
         if refused:
             log.warning("camera %s does not do as told: %s", self._device, ", ".join(refused))

@@ -132,6 +132,7 @@ class VideoReader:
         return short_s if short_s > _LONGEST_END * 1e-3 * float(np.diff(self._packets_ms).max()) else 0.0
 
     def _stamps_ns(self) -> list[int]:
+        """Times of the pictures from the first: the container's where they fit, else by the constant rate."""
         if not self._constant and self._numbers_by_stamp:
             return [round(1e6 * (stamp_ms - self._packets_ms[0])) for stamp_ms in self._packets_ms]
         if self.rate_hz is None:

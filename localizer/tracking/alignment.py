@@ -7,6 +7,7 @@ outlier and moves nothing, and what is left of the texture gives the covariance.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,124 @@ def invert(matrix: Table) -> None:
                     matrix[i, j] -= factor * matrix[k, j]
 
 
+class _Sums(NamedTuple):
+    """Sums over the points of one iteration."""
+
+    normal: Table  # (unknowns, unknowns) J^T W J, below its diagonal
+    right: Floats  # (unknowns,) -J^T W r
+    histogram: Floats  # (256,) points by their absolute residual in grey levels
+    texture: Floats  # (blocks,) sum v g^2
+    recognised: Floats  # (blocks,) sum v w g^2
+
+
+class _Totals(NamedTuple):
+    """Totals of one iteration: points, their weights v w, and v w r^2."""
+
+    points: float
+    weight: float
+    squares: float
+
+
+@kernel(part=True)
+def _linearise(
+    learnt: SingleCube, patch: SingleCube, weights: SingleTable, solution: Floats, scale: float, sums: _Sums
+) -> _Totals:
+    """Set `sums` to those of all points at a solution, with residuals weighted by a scale in grey levels.
+
+    Unknowns: shift ahead, shift to starboard, rotation, slopes of brightness; then each channel's gain, each one's offset.
+    """
+    channels, n = learnt.shape[0], learnt.shape[1]
+    middle = n // 2
+    size = (n + _BLOCKS - 1) // _BLOCKS
+    slope = np.empty(_SHARED + 2)  # of a point's residual, by the unknowns that it depends on
+    index = np.arange(_SHARED + 2)  # of those unknowns
+    sums.normal[:, :] = 0.0
+    sums.right[:] = 0.0
+    sums.histogram[:] = 0.0
+    sums.texture[:] = 0.0
+    sums.recognised[:] = 0.0
+    points = 0.0
+    total_weight = 0.0
+    squares = 0.0
+    c = math.cos(solution[2])
+    s = math.sin(solution[2])
+    for row in range(_BORDER, n - _BORDER):
+        for column in range(_BORDER + (row + _BORDER) % 2, n - _BORDER, 2):
+            template_weight = min(
+                weights[row, column], weights[row - 1, column], weights[row + 1, column], weights[row, column - 1],
+                weights[row, column + 1],
+            )  # fmt: skip
+            ahead = float(column - middle)
+            side = float(row - middle)
+            u = middle + solution[0] + c * ahead - s * side
+            v = middle + solution[1] + s * ahead + c * side
+            left = math.floor(u)
+            top = math.floor(v)
+            if template_weight <= 0.0 or left < 0 or top < 0 or left > n - 2 or top > n - 2:
+                continue
+            fu = u - left
+            fv = v - top
+            block = row // size * _BLOCKS + column // size
+            for k in range(channels):
+                above = patch[k, top, left] * (1.0 - fu) + patch[k, top, left + 1] * fu
+                below = patch[k, top + 1, left] * (1.0 - fu) + patch[k, top + 1, left + 1] * fu
+                gx = 0.5 * (learnt[k, row, column + 1] - learnt[k, row, column - 1])
+                gy = 0.5 * (learnt[k, row + 1, column] - learnt[k, row - 1, column])
+                level = float(learnt[k, row, column])
+                gain = solution[_SHARED + k] + (solution[3] * ahead + solution[4] * side) / middle
+                residual = above * (1.0 - fv) + below * fv - gain * level - solution[_SHARED + channels + k]
+                edge = _EDGE_ERROR * _EDGE_ERROR * (gx * gx + gy * gy)
+                root = 1.0 / (1.0 + residual * residual / (_REJECTS_AT * _REJECTS_AT * (scale * scale + edge)))
+                weight = template_weight * root * root
+                sums.histogram[min(int(abs(residual)), 255)] += 1.0
+                points += 1.0
+                sums.texture[block] += template_weight * (gx * gx + gy * gy)
+                sums.recognised[block] += weight * (gx * gx + gy * gy)
+                total_weight += weight
+                squares += weight * residual * residual
+                # d patch(R p + t) by shift is the gradient turned with the patch; by rotation, that times the turned lever
+                px = gain * (c * gx - s * gy)
+                py = gain * (s * gx + c * gy)
+                slope[0] = px
+                slope[1] = py
+                slope[2] = px * (middle + solution[1] - v) + py * (u - middle - solution[0])
+                slope[3] = -level * ahead / middle
+                slope[4] = -level * side / middle
+                slope[5] = -level
+                slope[6] = -1.0
+                index[5] = _SHARED + k
+                index[6] = _SHARED + channels + k
+                for i in range(_SHARED + 2):
+                    scaled = weight * slope[i]
+                    sums.right[index[i]] -= scaled * residual
+                    for j in range(i + 1):
+                        sums.normal[index[i], index[j]] += scaled * slope[j]
+    return _Totals(points, total_weight, squares)
+
+
+@kernel(part=True)
+def _recognised_share(sums: _Sums) -> float:
+    """Share of the texture in blocks whose own is seen again for the most part; -1 if there is no texture."""
+    total = 0.0
+    share = 0.0
+    for block in range(len(sums.texture)):
+        total += sums.texture[block]
+        if sums.recognised[block] > _BLOCK_SHARE * sums.texture[block]:
+            share += sums.texture[block]
+    return share / total if total > 0.0 else -1.0
+
+
+@kernel(part=True)
+def _median(histogram: Floats, points: float) -> int:
+    """Median of the absolute residuals, rounded up to a whole grey level."""
+    passed = 0.0
+    level = 0
+    while passed < 0.5 * points and level < 255:
+        passed += histogram[level]
+        level += 1
+    return level
+
+
 @kernel
 def align(learnt: SingleCube, patch: SingleCube, weights: SingleTable, move: Floats, covariance: Table) -> float:
     """Find the `move` (4,) [samples ahead (columns), samples to starboard (rows), rad, gain of brightness] of the `learnt`
@@ -54,115 +173,37 @@ def align(learnt: SingleCube, patch: SingleCube, weights: SingleTable, move: Flo
     gradient of the learnt patch. Share: of sum v g^2, the part in blocks with sum v w g^2 > 0.5 sum v g^2. Covariance:
     s^2 (J^T W J)^-1 of the first three unknowns.
     """
-    channels, n = learnt.shape[0], learnt.shape[1]
-    middle = n // 2
+    channels = learnt.shape[0]
     unknowns = _SHARED + 2 * channels
-    normal = np.empty((unknowns, unknowns))
-    right = np.empty(unknowns)
+    blocks = _BLOCKS * _BLOCKS
+    sums = _Sums(np.empty((unknowns, unknowns)), np.empty(unknowns), np.empty(256), np.empty(blocks), np.empty(blocks))
     solution = np.zeros(unknowns)
-    slope = np.empty(_SHARED + 2)
-    index = np.arange(_SHARED + 2)
-    counts = np.empty(256)
-    size = (n + _BLOCKS - 1) // _BLOCKS
-    texture = np.empty(_BLOCKS * _BLOCKS)
-    recognised = np.empty(_BLOCKS * _BLOCKS)
     solution[_SHARED : _SHARED + channels] = 1.0
     widest = _FIRST_SCALE
     scale = widest
     share = 0.0
     covariance[:, :] = 0.0
-    for done in range(_ROUNDS):
-        normal[:, :] = 0.0
-        right[:] = 0.0
-        counts[:] = 0.0
-        texture[:] = 0.0
-        recognised[:] = 0.0
-        total_weight = 0.0
-        squares = 0.0
-        points = 0.0
-        c = math.cos(solution[2])
-        s = math.sin(solution[2])
-        for row in range(_BORDER, n - _BORDER):
-            for column in range(_BORDER + (row + _BORDER) % 2, n - _BORDER, 2):
-                template_weight = min(
-                    weights[row, column], weights[row - 1, column], weights[row + 1, column], weights[row, column - 1],
-                    weights[row, column + 1],
-                )  # fmt: skip
-                ahead = float(column - middle)
-                side = float(row - middle)
-                u = middle + solution[0] + c * ahead - s * side
-                v = middle + solution[1] + s * ahead + c * side
-                left = math.floor(u)
-                top = math.floor(v)
-                if template_weight <= 0.0 or left < 0 or top < 0 or left > n - 2 or top > n - 2:
-                    continue
-                fu = u - left
-                fv = v - top
-                block = row // size * _BLOCKS + column // size
-                for k in range(channels):
-                    above = patch[k, top, left] * (1.0 - fu) + patch[k, top, left + 1] * fu
-                    below = patch[k, top + 1, left] * (1.0 - fu) + patch[k, top + 1, left + 1] * fu
-                    gx = 0.5 * (learnt[k, row, column + 1] - learnt[k, row, column - 1])
-                    gy = 0.5 * (learnt[k, row + 1, column] - learnt[k, row - 1, column])
-                    level = float(learnt[k, row, column])
-                    gain = solution[_SHARED + k] + (solution[3] * ahead + solution[4] * side) / middle
-                    residual = above * (1.0 - fv) + below * fv - gain * level - solution[_SHARED + channels + k]
-                    edge = _EDGE_ERROR * _EDGE_ERROR * (gx * gx + gy * gy)
-                    root = 1.0 / (1.0 + residual * residual / (_REJECTS_AT * _REJECTS_AT * (scale * scale + edge)))
-                    weight = template_weight * root * root
-                    counts[min(int(abs(residual)), 255)] += 1.0
-                    points += 1.0
-                    texture[block] += template_weight * (gx * gx + gy * gy)
-                    recognised[block] += weight * (gx * gx + gy * gy)
-                    total_weight += weight
-                    squares += weight * residual * residual
-                    # d seen(R p + t) by shift is the gradient turned with the patch; by rotation, that times the turned lever
-                    px = gain * (c * gx - s * gy)
-                    py = gain * (s * gx + c * gy)
-                    slope[0] = px
-                    slope[1] = py
-                    slope[2] = px * (middle + solution[1] - v) + py * (u - middle - solution[0])
-                    slope[3] = -level * ahead / middle
-                    slope[4] = -level * side / middle
-                    slope[5] = -level
-                    slope[6] = -1.0
-                    index[5] = _SHARED + k
-                    index[6] = _SHARED + channels + k
-                    for i in range(_SHARED + 2):
-                        scaled = weight * slope[i]
-                        right[index[i]] -= scaled * residual
-                        for j in range(i + 1):
-                            normal[index[i], index[j]] += scaled * slope[j]
-        total = 0.0
-        share = 0.0
-        for block in range(_BLOCKS * _BLOCKS):
-            total += texture[block]
-            if recognised[block] > _BLOCK_SHARE * texture[block]:
-                share += texture[block]
-        if total <= 0.0 or total_weight <= 0.0:
+    for iteration in range(_ROUNDS):
+        totals = _linearise(learnt, patch, weights, solution, scale, sums)
+        share = _recognised_share(sums)
+        if share < 0.0 or totals.weight <= 0.0:
             return 0.0
-        share /= total
         for i in range(unknowns):
-            normal[i, i] = normal[i, i] * (1.0 + 1e-9) + 1e-9
+            sums.normal[i, i] = sums.normal[i, i] * (1.0 + 1e-9) + 1e-9
             for j in range(i):
-                normal[j, i] = normal[i, j]
-        invert(normal)
-        variance = max(squares / total_weight, _LEAST_SCALE * _LEAST_SCALE)
+                sums.normal[j, i] = sums.normal[i, j]
+        invert(sums.normal)
+        variance = max(totals.squares / totals.weight, _LEAST_SCALE * _LEAST_SCALE)
         for i in range(3):
             for j in range(3):
-                covariance[i, j] = variance * normal[i, j]
-        if done == _ROUNDS - 1:
+                covariance[i, j] = variance * sums.normal[i, j]
+        if iteration == _ROUNDS - 1:
             break
         for i in range(unknowns):
             for j in range(unknowns):
-                solution[i] += normal[i, j] * right[j]
-        passed = 0.0
-        median = 0
-        while passed < 0.5 * points and median < 255:
-            passed += counts[median]
-            median += 1
+                solution[i] += sums.normal[i, j] * sums.right[j]
         widest = max(0.5 * widest, _MOST_SCALE)
-        scale = min(max(_TO_SIGMA * (median - 0.5), 0.25 * widest, _LEAST_SCALE), widest)
+        scale = min(max(_TO_SIGMA * (_median(sums.histogram, totals.points) - 0.5), 0.25 * widest, _LEAST_SCALE), widest)
     for i in range(3):
         move[i] = solution[i]
     move[3] = np.mean(solution[_SHARED : _SHARED + channels])

@@ -81,7 +81,7 @@ class AppearanceModel:
 
     def match(self, views: Sequence[PredictedView], poses: Sequence[Array]) -> list[Match]:
         """Match each view's robot, which must be initialised, near the pose given: first its place, by filters of what is seen
-        from above, then its heading, then both by an alignment."""
+        from above, then its heading, then both by an alignment that begins at the given pose, or else at the matched one."""
         if not views:
             return []
         robots, colours = _robot_indices(views), self._colours(views)
@@ -93,11 +93,10 @@ class AppearanceModel:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, matched_poses))
         matched_poses[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        predicted = zip(poses, np.clip(peaks, 0.0, 1.0).tolist(), strict=True)
-        matched = zip(matched_poses, _verified(peaks, turn_peaks).tolist(), strict=True)
+        place_peaks, verified_peaks = np.clip(peaks, 0.0, 1.0).tolist(), _verified(peaks, turn_peaks).tolist()
         return [
-            self._aligned(view, colour, starts)
-            for view, colour, *starts in zip(views, colours, predicted, matched, strict=True)
+            self._aligned(view, colours[i], [(poses[i], place_peaks[i]), (matched_poses[i], verified_peaks[i])])
+            for i, view in enumerate(views)
         ]
 
     def _aligned(self, view: PredictedView, colour: DemosaicedRegion, starts: Sequence[tuple[Array, float]]) -> Match:

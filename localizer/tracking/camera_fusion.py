@@ -20,6 +20,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -214,6 +215,7 @@ class CameraFusion:
         return _squared(_difference(candidate.mean, motion.mean[:3]), candidate.covariance + motion.covariance[:3, :3]) > GATE
 
     def _fused(self, robot: int, candidates: Sequence[_Candidate]) -> Pose:
+        """One pose of those that several cameras have of a robot, by covariance intersection."""
         parts = [(candidate.mean, candidate.covariance + self._doubts[candidate.camera]) for candidate in candidates]
         mean, covariance = covariance_intersection(parts)
         best = max((candidate.message for candidate in candidates), key=lambda pose: (pose.track, pose.peak))
@@ -275,30 +277,41 @@ def covariance_intersection(parts: Sequence[tuple[Array, Array]]) -> tuple[Array
     return mean, 0.5 * (covariance + covariance.T) + scatter
 
 
+class _FusedObstacle(NamedTuple):
+    """A row of the fused list."""
+
+    number: int
+    outline: Array  # (12, 2) m
+    velocity: Array  # (2,) m/s
+    unseen_s: float
+
+
 def fuse_obstacles(
     by_camera: Mapping[str, Obstacles], cameras: Sequence[str], before: Mapping[str, tuple[Obstacles, float]] | None = None
 ) -> Obstacles:
     """The obstacles of all cameras in one list, from those of the cameras that see; one that two of them see is told by the
     first. Numbers stay apart: that of camera k of n is n times its own plus k. `before`: the last lists of the cameras that
     are out, with their ages in s: what they saw stays in the list with its age, and those who read it let it grow."""
-    lists = [(k, fresh, 0.0) for k, name in enumerate(cameras) if (fresh := by_camera.get(name)) is not None]
-    lists += [(k, *(before or {})[name]) for k, name in enumerate(cameras) if name in (before or {})]
-    rows: list[tuple[int, Array, Array, float]] = []
+    before = before or {}
+    number_of = {name: k for k, name in enumerate(cameras)}
+    lists = [(number_of[name], by_camera[name], 0.0) for name in cameras if name in by_camera]
+    lists += [(number_of[name], *before[name]) for name in cameras if name in before]
+    fused: list[_FusedObstacle] = []
     for k, obstacles, since_s in lists:
-        earlier = [outline for _, outline, _, _ in rows]
+        earlier = [obstacle.outline for obstacle in fused]
         unseen_s = ages_s(obstacles, since_s)
         for number, outline, velocity, s in zip(obstacles.ids, obstacles.outline, obstacles.velocity, unseen_s, strict=True):
             is_known = any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier)
             if not is_known and (s <= _REMEMBERED_S or since_s == 0.0):
-                rows.append((number * len(cameras) + k, outline, velocity, s))
+                fused.append(_FusedObstacle(number * len(cameras) + k, outline, velocity, s))
     return Obstacles(
-        ids=tuple(row[0] for row in rows),
-        outline=np.array([row[1] for row in rows]).reshape(-1, 12, 2),
-        velocity=np.array([row[2] for row in rows]).reshape(-1, 2),
+        ids=tuple(obstacle.number for obstacle in fused),
+        outline=np.array([obstacle.outline for obstacle in fused]).reshape(-1, 12, 2),
+        velocity=np.array([obstacle.velocity for obstacle in fused]).reshape(-1, 2),
         depth_m=next((obstacles.depth_m for obstacles in by_camera.values()), 0.0),
         watched=sum(obstacles.watched for obstacles in by_camera.values()) / len(cameras),
         blind="; ".join(f"camera {name}: {obstacles.blind}" for name, obstacles in by_camera.items() if obstacles.blind),
-        unseen_s=np.array([row[3] for row in rows]),
+        unseen_s=np.array([obstacle.unseen_s for obstacle in fused]),
     )
 
 

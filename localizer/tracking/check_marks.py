@@ -48,6 +48,7 @@ def with_camera(experiment: Experiment, camera: str) -> Experiment:
 
 
 def _check_lens(experiment: Experiment) -> None:
+    """Raise ConfigError for a lens whose distortion cannot be undone in all of the picture."""
     camera = experiment.camera
     if (fold := fold_px(Intrinsics.of(camera))) > LARGEST_FOLD_PX:
         raise ConfigError(
@@ -108,15 +109,19 @@ class CheckedCameraPose(FixedCameraPose):
     def _early_covariance(self, turn: int) -> Array:
         """Covariance (3, 3) of the shift that the marks of the last pictures show, if they have moved alike: poses do not wait
         for the verdict on a small knock, for which waves could be to blame. Waves move each mark another way."""
-        marks = sorted({(turn - back) % len(self._ids) for back in range(_EARLY_MARKS)})
-        newest_px = {k: px for k in marks if self._readings[k] and (px := self._readings[k][-1]) is not None}
+        newest_px: dict[int, Array] = {}  # corners (4, 2) of each mark in the last pictures; a picture shows one in turn
+        for k in sorted({(turn - back) % len(self._ids) for back in range(_EARLY_MARKS)}):
+            corners_px = self._readings[k][-1] if self._readings[k] else None
+            if corners_px is not None:
+                newest_px[k] = corners_px
         if len(newest_px) < _EARLY_MARKS:
             return np.zeros((3, 3))
-        shifts = np.array([(px - self._expected_px[k]).mean(axis=0) for k, px in newest_px.items()])
-        mean = shifts.mean(axis=0)
-        alike = np.linalg.norm(shifts - mean, axis=1).max() < max(SHIFTED_PX / 2.0, 0.5 * float(np.linalg.norm(mean)))
-        moved = np.linalg.norm(shifts, axis=1).min() > SHIFTED_PX
-        return self._shift_covariance(newest_px) if moved and alike else np.zeros((3, 3))
+        shifts_px = np.array([(px - self._expected_px[k]).mean(axis=0) for k, px in newest_px.items()])
+        mean_px = shifts_px.mean(axis=0)
+        spread_px = np.linalg.norm(shifts_px - mean_px, axis=1).max()
+        are_alike = spread_px < max(SHIFTED_PX / 2.0, 0.5 * float(np.linalg.norm(mean_px)))
+        have_moved = np.linalg.norm(shifts_px, axis=1).min() > SHIFTED_PX
+        return self._shift_covariance(newest_px) if have_moved and are_alike else np.zeros((3, 3))
 
     def _read(self, marks: Sequence[int], region: ImageRegion | None) -> None:
         """Keep what a region of the picture shows of some marks; where there is no region, that they are not seen."""

@@ -42,6 +42,7 @@ class DepthMemory:
         return {robot: self._known_depth(robot, stamp_ns) for robot in self._start_m}
 
     def _known_depth(self, robot: int, stamp_ns: int) -> KnownDepth:
+        """The depth that was last reported. Its uncertainty grows with the time since then."""
         if robot not in self._last:
             return KnownDepth(float(self._start_m[robot]), max(self._sigma_m, ASSUMED_SIGMA_M))
         depth_m, reported_ns = self._last[robot]

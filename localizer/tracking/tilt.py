@@ -90,7 +90,8 @@ class MotionEstimate:
         )
 
     def with_position(self, position_m: Array, model: "TiltModel") -> "MotionEstimate":
-        """The estimate after a measured position (2,)."""
+        """The estimate after a measured position (2,), by a fading-memory filter of second order: with keep = exp(-h / T) its
+        gains are 1 - keep^3, 1.5 (1 - keep)^2 (1 + keep) / h and (1 - keep)^3 / h^2."""
         h = self.since_s
         if h <= 0.0:
             return replace(self, position_m=position_m.copy())
@@ -100,12 +101,15 @@ class MotionEstimate:
         error = position_m - expected
         velocity = self.velocity_mps + h * self.acceleration_mps2 + 1.5 * lose * lose * (1.0 + keep) / h * error
         acceleration = self.acceleration_mps2 + lose**3 / (h * h) * error
-        judged = self.followed_s >= _JUDGED_AFTER_S
-        residual_tilt_rad = (
-            max(self.residual_tilt_rad, model.tilt_of_motion_rad(velocity, acceleration)) if judged else self.residual_tilt_rad
-        )
+        residual_tilt_rad = self.residual_tilt_rad
+        if self.followed_s >= _JUDGED_AFTER_S:
+            residual_tilt_rad = max(residual_tilt_rad, model.tilt_of_motion_rad(velocity, acceleration))
         return MotionEstimate(
-            expected + (1.0 - keep**3) * error, velocity, acceleration, residual_tilt_rad, 0.0, self.followed_s
+            position_m=expected + (1.0 - keep**3) * error,
+            velocity_mps=velocity,
+            acceleration_mps2=acceleration,
+            residual_tilt_rad=residual_tilt_rad,
+            followed_s=self.followed_s,
         )
 
 

@@ -71,6 +71,11 @@ class LocalServer:
         self._socket.close()
 
 
+def page_name(request: Request) -> str:
+    """The name that a page gives itself."""
+    return request.query_params.get("page", "")[:40]
+
+
 async def _failed(request: Request, error: Exception) -> Response:
     log.error("page: %s", request.url.path, exc_info=error)
     return PlainTextResponse("an error of this program: its log has it", 500)
@@ -86,14 +91,27 @@ class PictureStream:
     def __init__(self, newest: Callable[[int], tuple[int, bytes] | None]) -> None:
         self._newest = newest
         self._places = threading.BoundedSemaphore(MOST_VIEWERS)
+        self._viewers: list[str] = []  # by the names of their pages
 
     def answer(self, request: Request) -> Response:
         """The stream, or a refusal where all places are taken."""
         if not self._places.acquire(blocking=False):
             return PlainTextResponse(f"{MOST_VIEWERS} viewers already", 503)
-        return _Stream(self._parts(), self._places.release)
+        page = page_name(request)
+        self._viewers.append(page)
+
+        def ended() -> None:
+            self._viewers.remove(page)
+            self._places.release()
+
+        return _Stream(self._parts(), ended)
+
+    def has_viewer(self, page: str) -> bool:
+        """True if a page is being sent the pictures."""
+        return page in self._viewers
 
     def _parts(self) -> Iterator[bytes]:
+        """Pictures as an endless multipart response (MJPEG)."""
         last_number = 0
         yield f"--{_BOUNDARY}\r\n".encode()
         while (news := self._newest(last_number)) is not None:

@@ -59,6 +59,7 @@ class VideoEncoder:
             log.warning("the video holds %d of %d pictures: the machine is too busy for more", self._encoded, self._offered)
 
     def _send(self, captured: CapturedFrame) -> None:
+        """Encode a picture and publish it. After an error the encoder is made anew."""
         try:
             packed = self._pack(captured.pixels, captured.stamp_ns)
             self._encoded += 1

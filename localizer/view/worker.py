@@ -54,6 +54,7 @@ class LatestItemWorker(Generic[T]):
                 self._try(item)
 
     def _try(self, item: T) -> None:
+        """Handle a picture. Only the first failure in a row is logged, and the first success after it."""
         try:
             self._handle(item)
         except Exception as error:

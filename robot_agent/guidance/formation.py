@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from shoal.config.controller import Safety
 from shoal.frames import TURN, Array
 from shoal.kernels.decorator import kernel
-from shoal.kernels.types import Floats, Table
+from shoal.kernels.types import Complexes, ComplexTable, Floats, Table
 from shoal.messages.messages import Plan
 
 Places = NDArray[np.complex128]  # x + iy in the pool frame, m
@@ -31,6 +31,7 @@ SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
 MOST_TURNED_RAD = 1e8  # a heading counts its turns: days of laps
 SILENT_S = 60.0  # of silence: a robot without a station is neutral after 3 s, and has drifted to rest long before
 MEANT_S = 1.0  # over which a robot's velocity is taken from its planned reference
+WAY_STEP_S, WAY_STEPS = 0.5, 16  # between the places of a way ahead, and how many there are: 8 s
 SAME_ERROR_M = 0.02  # tracking errors closer than this give equal priority,
 ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot moves faster
 
@@ -81,6 +82,25 @@ def now_and_meant(plan: PlanRows, age_s: float) -> tuple[complex, float, complex
     span_s = plan.period_s * max(then - now, 1)
     velocity = complex((track[then, 0] - track[now, 0]) / span_s, (track[then, 1] - track[now, 1]) / span_s)
     return complex(eta[now, 0], eta[now, 1]), eta[now, 2], velocity
+
+
+@kernel
+def write_meant_way(plan: PlanRows, age_s: float, way: Complexes) -> None:
+    """Write the way (steps,) that a plan's robot means to go from now on: places WAY_STEP_S apart, less the present one. After
+    a plan's end it goes straight on; of a plan that is used up it rests."""
+    track, last, now = plan.reference, len(plan.eta) - 1, max(age_s / plan.period_s, 0.0)
+    here = 0j
+    for i in range(-1, len(way)):
+        row = now + (i + 1) * WAY_STEP_S / plan.period_s
+        low = min(int(row), max(last - 1, 0))
+        high, share = min(low + 1, last), row - low
+        place = complex(
+            track[low, 0] + share * (track[high, 0] - track[low, 0]), track[low, 1] + share * (track[high, 1] - track[low, 1])
+        )
+        if i < 0:
+            here = place
+        else:
+            way[i] = place - here if now < last else 0j
 
 
 class Neighbour(NamedTuple):
@@ -143,6 +163,7 @@ class NeighbourPredictions(NamedTuple):
     place_now: Places  # (neighbours,) places as their plans have them now,
     depth_now: Array  # (neighbours,) and depths, m
     intended_velocity: Places  # (neighbours,) velocities x + iy that they mean to have, m/s
+    intended_way: ComplexTable  # (neighbours, WAY_STEPS) ways that they mean to go, WAY_STEP_S apart, from where they are
 
 
 class Formation:
@@ -161,9 +182,15 @@ class Formation:
         self._safety, self._nodes_s, self._has_leader, self._most_m = safety, nodes_s, has_leader, most_m
         self._near = np.unique(np.linspace(0, len(nodes_s) - 1, NODES + 1)[1:].round().astype(np.intp))
         self.rows = NEAREST * len(self._near)  # half-spaces there can be
-        nobody = np.zeros(0), np.zeros(0, np.complex128)
         self._nobody = NeighbourPredictions(
-            (), np.zeros((0, len(nodes_s), 4)), np.zeros((len(nodes_s), 4)), 0, nobody[1], nobody[0], nobody[1]
+            neighbours=(),
+            pose=np.zeros((0, len(nodes_s), 4)),
+            deviation=np.zeros((len(nodes_s), 4)),
+            members=0,
+            place_now=np.zeros(0, np.complex128),
+            depth_now=np.zeros(0),
+            intended_velocity=np.zeros(0, np.complex128),
+            intended_way=np.zeros((0, WAY_STEPS), np.complex128),
         )
         self.set_weight(weight)
 
@@ -182,7 +209,9 @@ class Formation:
         count, nodes = len(used), len(self._nodes_s)
         pose, deviation, total, members = np.empty((count, nodes, 4)), np.empty((nodes, 4)), np.zeros((nodes, 4)), 0
         place, depth, velocity = zip(*(now_and_meant(plan, (now_ns - n.stamp_ns) / NS) for n, plan in used), strict=True)
+        way = np.empty((count, WAY_STEPS), np.complex128)
         for i, (neighbour, plan) in enumerate(used):
+            write_meant_way(plan, (now_ns - neighbour.stamp_ns) / NS, way[i])
             at_s = self._nodes_s + (now_ns - neighbour.stamp_ns) / NS
             sample_plan(plan, at_s, self._most_m, pose[i], deviation)
             if neighbour.fresh and neighbour.formation:
@@ -190,7 +219,7 @@ class Formation:
                 members += 1
         return NeighbourPredictions(
             [n for n, _ in used], pose, total, members, np.array(place, np.complex128), np.array(depth, np.float64),
-            np.array(velocity, np.complex128),
+            np.array(velocity, np.complex128), way,
         )  # fmt: skip
 
     def pull(self, predictions: NeighbourPredictions, own: Array) -> tuple[Array, Array] | None:

@@ -27,10 +27,11 @@ def interpolate_rows(table: Table, place: Floats, out: Table) -> None:
 
 @kernel
 def sample_trajectory(
-    samples: Cube, begin_s: float, period_s: float, time_s: float, rate: float, offset_s: Floats, out: Cube
+    samples: Cube, begin_s: float, period_s: float, time_s: float, rate: float, waits_s: float, offset_s: Floats, out: Cube
 ) -> None:
     """Linear interpolation of a trajectory's `samples` (3, n, 4), poses, velocities and accelerations, `period_s` apart from
-    `begin_s` on, at time_s + rate offset_s; before and after it its first and last pose, at rest. `out` (3, offsets, 4).
+    `begin_s` on, at time_s + rate (offset_s - waits_s); before and after it its first and last pose, and at `time_s` until
+    `waits_s` are over, at rest. `out` (3, offsets, 4).
 
     The same way at another pace (chain rule): velocities times `rate`, accelerations times its square.
     """
@@ -38,9 +39,9 @@ def sample_trajectory(
     eta, velocity, acceleration = out[0], out[1], out[2]
     last = len(path) - 1
     for k in range(len(offset_s)):
-        place = (time_s + rate * offset_s[k] - begin_s) / period_s
+        place = (time_s + rate * max(offset_s[k] - waits_s, 0.0) - begin_s) / period_s
         within = min(place, float(last)) if place > 0.0 else 0.0  # NaN is no row either
-        moves = rate if 0.0 <= place <= last else 0.0
+        moves = rate if 0.0 <= place <= last and offset_s[k] >= waits_s else 0.0
         low = int(within)
         high = min(low + 1, last)
         share = within - low
@@ -54,11 +55,13 @@ def sample_trajectory(
 @dataclass(frozen=True, eq=False)
 class Follow:
     """Goal: fly a trajectory. `time_s` is the time along it now (before its beginning the robot waits at its first pose), and
-    `rate` its speed: 1 as planned, 0 while the formation waits, above 1 while it catches up."""
+    `rate` its speed: 1 as planned, 0 while the formation waits, above 1 while it catches up. The robot rests there for
+    `waits_s` first."""
 
     trajectory: Trajectory
     time_s: float
     rate: float = 1.0
+    waits_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,9 @@ class ReferenceSampler:
         path = goal.trajectory
         if path is not self._path:
             self._samples, self._path = np.array((path.eta, path.velocity, path.acceleration)), path
-        sample_trajectory(self._samples, path.begin_s, path.period_s, goal.time_s, goal.rate, self._offsets_s, self._rows)
+        sample_trajectory(
+            self._samples, path.begin_s, path.period_s, goal.time_s, goal.rate, goal.waits_s, self._offsets_s, self._rows
+        )
         return self._sampled
 
     def _driven(self, goal: Drive) -> Reference:

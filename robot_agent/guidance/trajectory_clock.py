@@ -133,8 +133,9 @@ class TrajectoryClock:
         if self.trajectory is None:
             return None
         self._fall_behind(station, now_ns)
-        self.reached_s = max((now_ns - self._time_zero_ns) * 1e-9, self._earliest_s) - (self._lag_s or 0.0)
-        return Follow(self.trajectory, self.reached_s, self._rate)
+        timetable_s = (now_ns - self._time_zero_ns) * 1e-9
+        self.reached_s = max(timetable_s, self._earliest_s) - (self._lag_s or 0.0)
+        return Follow(self.trajectory, self.reached_s, self._rate, max(self._earliest_s - timetable_s, 0.0))
 
     def _fall_behind(self, station: StationView, now_ns: int) -> None:
         """Take over the formation's lag: at once at a start; later so that the reference never goes back, nor faster than

@@ -6,6 +6,8 @@ follows a point. The point is on the reference while that is free, and takes ano
 obstacles, Fiorini and Shiller 1998, with a side rule as in COLREG):
 
 * A velocity is free if it passes every robot and obstacle by 2R + `room_m` within `look_ahead_s`, if they move on as told.
+* The path is left if its straight line is not free, and its way, bends and stops included, meets a way that another robot has
+  told.
 * Of two robots that cross, the one that has the other to starboard gives way, and the other counts on it for half of that
   time. A robot that is overtaken goes on as before; so does one with an urgent task, among robots without one.
 * Two robots that meet leave one another to port (they keep to starboard), unless they are already well on the other side.
@@ -23,15 +25,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_agent.guidance.formation import MEANT_S, WALL_M, NeighbourPredictions
+from robot_agent.guidance.formation import MEANT_S, WALL_M, WAY_STEP_S, WAY_STEPS, NeighbourPredictions
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Reference
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
-from shoal.kernels.types import Bools, Complexes, Floats, Table
+from shoal.kernels.types import Bools, Complexes, ComplexTable, Floats, Table
 
-LOOK_STEP_S = 0.5
 SURE_S = 0.2  # a conflict lasts so long before the reference is left,
 SURE_STEPS = 2  # and so many steps at least: neighbours that start a step before their plan says so are no conflict
 SLIGHTEST_MPS = 0.01  # a slower approach is no conflict: robots in formation sway that fast
@@ -80,13 +81,23 @@ class Traffic(NamedTuple):
     velocity: Complexes  # (k,) m/s, that they mean to have
     keep_m: Floats  # (k,) distances to stay away; 0: it is not in the way
     yields: Bools  # (k,) robots that follow this rule too, and of which each hears the other
+    way: ComplexTable  # (k, WAY_STEPS) ways that they mean to go, WAY_STEP_S apart, from where they are
+    error_m: Floats  # (k,) by which they are off those; infinity of what keeps to none
 
     def joined(self, other: "Traffic") -> "Traffic":
         """Return both together."""
         return Traffic(*(np.concatenate(both) for both in zip(self, other, strict=True)))
 
 
-NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool))
+def straight_ways(velocity: Complexes) -> ComplexTable:
+    """Ways (k, WAY_STEPS) straight on at velocities (k,)."""
+    return np.outer(velocity, WAY_STEP_S * np.arange(1, WAY_STEPS + 1)).astype(np.complex128)
+
+
+NOBODY = Traffic(
+    np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool),
+    straight_ways(np.zeros(0, np.complex128)), np.zeros(0),
+)  # fmt: skip
 
 
 @kernel
@@ -146,12 +157,12 @@ def changed(velocity: complex, to: complex, most: float) -> complex:
 
 @kernel
 def look_ahead(eta: Table, velocity: Table, times_s: Floats, point: complex, agility: Agility, ahead: Complexes) -> None:
-    """Displacements of a point on its return to a reference, LOOK_STEP_S apart, into `ahead`. The reference (rows, 4) at
+    """Displacements of a point on its return to a reference, WAY_STEP_S apart, into `ahead`. The reference (rows, 4) at
     `times_s` (rows,) goes straight on after its end."""
     last, start, row = len(times_s) - 1, point, 0
     before = complex(eta[0, 0], eta[0, 1])
     for i in range(len(ahead)):
-        time_s = (i + 1) * LOOK_STEP_S
+        time_s = (i + 1) * WAY_STEP_S
         while row < last and times_s[row + 1] <= time_s:
             row += 1
         beyond_s, share, after = time_s - times_s[row], 0.0, row
@@ -162,7 +173,7 @@ def look_ahead(eta: Table, velocity: Table, times_s: Floats, point: complex, agi
             eta[row, 0] + share * (eta[after, 0] - eta[row, 0]) + beyond_s * velocity[last, 0],
             eta[row, 1] + share * (eta[after, 1] - eta[row, 1]) + beyond_s * velocity[last, 1],
         )
-        point += LOOK_STEP_S * homing_velocity(before, (goal - before) / LOOK_STEP_S, point, agility)
+        point += WAY_STEP_S * homing_velocity(before, (goal - before) / WAY_STEP_S, point, agility)
         before = goal
         ahead[i] = point - start
 
@@ -174,8 +185,8 @@ def find_meetings(place: complex, ahead: Complexes, traffic: Traffic, within_s: 
     for i in range(len(within_s)):
         away, meets[i] = traffic.place[i] - place, False
         nearest_m = nearest_allowed_m(traffic.keep_m[i], abs(away))
-        for k in range(min(len(ahead), round(within_s[i] / LOOK_STEP_S))):
-            meets[i] |= abs(away + traffic.velocity[i] * ((k + 1) * LOOK_STEP_S) - ahead[k]) < nearest_m
+        for k in range(min(len(ahead), round(within_s[i] / WAY_STEP_S))):
+            meets[i] |= abs(away + traffic.way[i, k] - ahead[k]) < nearest_m
         any_meets |= meets[i]
     return any_meets
 
@@ -295,7 +306,9 @@ def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, room_m: floa
     is_urgent = np.array([other.plan.urgent for other in predictions.neighbours], bool)
     in_way = (np.abs(predictions.depth_now - depth_m) < keep_m) & ~(urgent & yields & ~is_urgent)
     distance_m = np.where(in_way, keep_m + room_m, 0.0)
-    return Traffic(predictions.place_now, predictions.intended_velocity, distance_m, yields)
+    told_m = np.array([other.plan.tracking_error_m for other in predictions.neighbours], np.float64)
+    error_m = np.where(yields & (told_m >= 0.0), told_m, np.inf)
+    return Traffic(predictions.place_now, predictions.intended_velocity, distance_m, yields, predictions.intended_way, error_m)
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, agility: Agility, now_ns: int) -> Traffic:
@@ -305,9 +318,11 @@ def obstacle_traffic(obstacle: Obstacle, place: complex, agility: Agility, now_n
     if abs(obstacle.centre + moved - place) > reach_m:
         return NOBODY
     count = len(obstacle.edge_points)
+    velocity = np.full(count, obstacle.velocity)
     return Traffic(
-        obstacle.edge_points + moved, np.full(count, obstacle.velocity), np.full(count, keep_m), np.zeros(count, bool)
-    )
+        obstacle.edge_points + moved, velocity, np.full(count, keep_m), np.zeros(count, bool), straight_ways(velocity),
+        np.full(count, np.inf),
+    )  # fmt: skip
 
 
 class GiveWay:
@@ -328,7 +343,7 @@ class GiveWay:
         self._times_s, self._period_s, self._urgent = times_s, period_s, urgent
         self._sure_steps = max(SURE_STEPS, round(SURE_S / period_s))
         self.agility = agility
-        self._look_steps = round(self.agility.look_ahead_s / LOOK_STEP_S)
+        self._look_steps = round(self.agility.look_ahead_s / WAY_STEP_S)
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
         half_x_m, half_y_m = (half - vehicle.radius_m - WALL_M).tolist()
         self._basin = Basin(
@@ -385,7 +400,7 @@ class GiveWay:
         if self._point is None:
             self._point, self._velocity = begin, speed
         wanted = homing_velocity(begin, speed, self._point, self.agility)
-        course = self._avoiding_velocity(reference, place, wanted, traffic)
+        course = self._avoiding_velocity(reference, place, wanted, traffic, abs(place - begin) if on_path else math.inf)
         if on_path and course is None:  # the path itself bends away
             self.reset()
             return reference
@@ -416,15 +431,20 @@ class GiveWay:
         set_horizons(place, wanted, self.agility.look_ahead_s, traffic, within_s)
         return within_s
 
-    def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
-        """Velocity that avoids the traffic in the way; None if none is."""
+    def _avoiding_velocity(
+        self, reference: Reference, place: complex, wanted: complex, traffic: Traffic, off_m: float
+    ) -> complex | None:
+        """Velocity that avoids the traffic in the way of a robot `off_m` from its path; None if none is. Paths may have been
+        planned 2R apart: two robots that keep to theirs need no more room than they are off them."""
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
         assert self._point is not None
         within_s = self._horizons(place, wanted, traffic)
         ahead, meets = np.empty(self._look_steps, np.complex128), np.empty(len(within_s), bool)
         look_ahead(reference.eta, reference.velocity, self._times_s, self._point, self.agility, ahead)
-        if not find_meetings(place, ahead, traffic, within_s, meets):
+        spare_m = np.maximum(self.agility.room_m - off_m - traffic.error_m, 0.0)
+        near = traffic._replace(keep_m=np.maximum(traffic.keep_m - spare_m, 0.0))
+        if not find_meetings(place, ahead, near, within_s, meets):
             return None
         own_mps = math.hypot(*reference.velocity[0, :2].tolist())
         unhurried_mps = own_mps + max(CATCH_UP * own_mps, UNHURRIED_MPS)

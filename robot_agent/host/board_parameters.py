@@ -77,6 +77,7 @@ class BoardParameters:
         return link.ask_parameters()
 
     def _judge(self, reported: ParameterList) -> str:
+        """The objection to the parameters that a board reports, or ""."""
         if not reported.is_complete:
             return _not_known(reported)
         differences = [str(difference) for difference in compare(reported.values, self._wanted) if difference.matters]

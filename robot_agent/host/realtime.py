@@ -68,7 +68,12 @@ def permitted() -> str:
     root = os.geteuid() == 0
     highest = HIGHEST if root or most == resource.RLIM_INFINITY else min(most, HIGHEST)
     refusal = _refusal(highest) if highest else ""
-    fifo = f"none ({refusal})" if refusal else "none" if not highest else "any" if highest == HIGHEST else f"up to {highest}"
+    if refusal:
+        fifo = f"none ({refusal})"
+    elif not highest:
+        fifo = "none"
+    else:
+        fifo = "any" if highest == HIGHEST else f"up to {highest}"
     lock = "all" if root or memory == resource.RLIM_INFINITY else f"{memory // 1024} KiB"
     return f"SCHED_FIFO priority: {fifo}; locked memory: {lock}; cores {_ranges(os.sched_getaffinity(0))}"
 

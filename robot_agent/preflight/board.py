@@ -190,6 +190,8 @@ def _foreign_frames(telemetry: Telemetry, robot: int) -> str:
         return "what comes is signed with another key, or there is no link_key"
     if telemetry.unsigned_frames:
         return "what comes is not signed (over a cable, `robot-agent params give-key FILE` gives the board a key)"
+    if telemetry.hil:
+        return "it is in HIL mode, and nothing simulates its measurements: start `sim-bridge hil`, or power it off and on"
     if telemetry.echo_us:
         return "it speaks, but tells no depth that can be true"
     if telemetry.foreign_peer is not None:

@@ -70,6 +70,7 @@ def check_network(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
 
 
 def _certificate(keys: Keys) -> CheckFinding:
+    """Check the process's own certificate: by its authority, and valid now."""
     from cryptography import x509  # a fleet without keys has no use for it
 
     try:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
+from typing import NamedTuple
 
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import PULSE_RANGE_US, STANDARD_GRAVITY_MPS2
@@ -63,6 +64,7 @@ def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[Thrus
 
 
 def _number(cell: str, where: str) -> float:
+    """A finite number from a cell of the table. Raises ConfigError."""
     try:
         value = float(cell)
     except ValueError:
@@ -101,17 +103,26 @@ def fit(readings: Sequence[ThrustReading], name: str, points: int, still_n: floa
     return ThrustFit(tuple((pulse, round(force, 3)) for pulse, force in curve), rms_n, worst, worst_n)
 
 
+class _Block(NamedTuple):
+    """Neighbouring values that get one value, their mean."""
+
+    mean: float
+    weight: int
+    size: int  # number of values
+
+
 def _isotonic(values: Sequence[float], weights: Sequence[int]) -> list[float]:
-    """The nearest values, in weighted least squares, that never fall."""
-    blocks: list[tuple[float, int, int]] = []  # mean, weight, number of values
+    """The nearest values, in weighted least squares, that never fall (pool adjacent violators)."""
+    blocks: list[_Block] = []
     for value, weight in zip(values, weights, strict=True):
-        block = (value, weight, 1)
-        while blocks and blocks[-1][0] > block[0]:
-            mean, mass, count = blocks.pop()
-            total = mass + block[1]
-            block = ((mean * mass + block[0] * block[1]) / total, total, count + block[2])
+        block = _Block(value, weight, 1)
+        while blocks and blocks[-1].mean > block.mean:  # a fall: one block with the mean of both
+            before = blocks.pop()
+            total = before.weight + block.weight
+            mean = (before.mean * before.weight + block.mean * block.weight) / total
+            block = _Block(mean, total, before.size + block.size)
         blocks.append(block)
-    return [mean for mean, _, count in blocks for _ in range(count)]
+    return [block.mean for block in blocks for _ in range(block.size)]
 
 
 def interpolate(curve: Sequence[tuple[int, float]], pulse_us: float) -> float:

@@ -103,7 +103,8 @@ class HealthMonitor:
         """Take note of pulses that went out; the board's echo and the gyroscope are compared with them."""
         self._outputs.note_pulses(pulse_us, now_ns)
         self._thrusters.note_moments(*self._allocator.level_moments(pulse_us), now_ns)
-        self._watch.response.note_thrust(self._allocator.delivered(pulse_us)[0].item(0), now_ns)
+        surge_n, _, yaw_nm = self._allocator.delivered(pulse_us)[0].tolist()[:3]
+        self._watch.response.note_thrust(surge_n, yaw_nm, now_ns)
 
     def note_output(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
         """Take in a control step's estimate and reference, in the mode from now on."""

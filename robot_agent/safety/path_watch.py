@@ -146,6 +146,7 @@ class PathWatch:
             self.finding = self._find(step)
 
     def _change_state(self, output: ControlOutput, mode: Mode, off_m: float, elapsed_s: float) -> None:
+        """Enter the next guidance state, and begin the times anew that belong to it."""
         before, is_away = self.state, off_m > ARRIVED * self._limit_m
         self._avoids = output.path_is_blocked or (output.avoids and is_away)
         in_way = self._avoids or (output.avoids and before is Guidance.GIVING_WAY)
@@ -259,7 +260,7 @@ class PathWatch:
         if not self._row:
             return ""
         response = self.response
-        if self._responds and (response.stands_still or response.standstill.pushed_m > response.standstill.room_m):
+        if self._responds and (response.stands_still or response.place.pushed > response.place.room):
             return "it does not move: it may be held fast, or its thrusters do not push"
         if self._responds and response.turn_evidence > LEANING:
             turned = abs(math.degrees(cmath.phase(response.response.gain)))

@@ -13,7 +13,8 @@ the poses tell which is right.
 
 A robot that is held fast stands, whatever its thrusters do. One that holds its place against a current stands as well, but its
 thrust is the same, or changes slowly. So the test is by the change of thrust: the way that it should have moved the robot by
-since it stands, against the way by which it moved. Thrust that lasts is forgotten in BALANCED_S: it may be balanced.
+since it stands, against the way by which it moved. Thrust that lasts is forgotten in BALANCED_S: it may be balanced. The yaw
+moment and the heading are tested alike: a robot that turns first gives no other thrust, and one that is held does not turn.
 """
 
 import cmath
@@ -163,41 +164,45 @@ def follow_response(filters: ResponseFilters, push: Push, place: complex, varian
     return Response(mean, math.sqrt(max(0.5 * spread, 0.0)), velocity)
 
 
+class Axis(NamedTuple):
+    """An axis of a vehicle: of the place, in m, or of the heading, in rad."""
+
+    strongest: float  # acceleration by all of its thrust, 1/s^2
+    fades_s: float  # time constant in which drag ends a motion
+    least: float  # less is no motion
+
+
 class Standstill:
-    """For how long a robot has stood, and the way that its thrust should have moved it by since."""
+    """For how long a robot has stood on one axis, and the way that its thrust should have moved it by since."""
 
-    def __init__(self, thrust_mps2: float) -> None:
-        self._balanced_m = WEAK * RAMP_PER_S * thrust_mps2 * BALANCED_S**3
-        self.stands_s = 0.0
-        self.room_m = STANDS_M  # less is no motion
-        self.pushed_m = 0.0
-        self._begin(0j, 0.0, 0j)
+    def __init__(self, axis: Axis) -> None:
+        self._lasts_s = min(BALANCED_S, axis.fades_s)  # of thrust, and of the speed that it should have given
+        self._balanced_way, self._least = WEAK * RAMP_PER_S * axis.strongest * self._lasts_s**3, axis.least
+        self.room = axis.least
+        self.begin(0j, 0j)
 
-    def _begin(self, place: complex, yaw_rad: float, acceleration: complex) -> None:
-        self._place, self._yaw_rad, self._balanced = place, yaw_rad, acceleration
-        self._speed, self._way, self.stands_s, self.pushed_m = 0j, 0j, 0.0, 0.0
+    def begin(self, place: complex, acceleration: complex) -> None:
+        """Begin anew, here."""
+        self._place, self._balanced = place, acceleration
+        self._speed, self._way, self.stands_s, self.pushed = 0j, 0j, 0.0, 0.0
 
-    def step(self, place: complex, yaw_rad: float, deviation_m: float, acceleration: complex, elapsed_s: float) -> None:
+    def step(self, place: complex, deviation: float, acceleration: complex, elapsed_s: float) -> None:
         """Take in a pose and the push f since the last one."""
-        self.room_m = STANDS_M + STANDS * deviation_m
-        if abs(place - self._place) > self.room_m:
-            self._begin(place, yaw_rad, acceleration)
-        share = min(elapsed_s / BALANCED_S, 1.0)
+        self.room = self._least + STANDS * deviation
+        if abs(place - self._place) > self.room:
+            self.begin(place, acceleration)
+        share = min(elapsed_s / self._lasts_s, 1.0)
         self._balanced += share * (acceleration - self._balanced)
         change = (acceleration - self._balanced) * elapsed_s
         self._way += (self._speed + 0.5 * change) * elapsed_s - share * self._way
         self._speed += change - share * self._speed
         self.stands_s += elapsed_s
-        self.pushed_m = WEAK * abs(self._way)
-
-    def turned_rad(self, yaw_rad: float) -> float:
-        """The turn since the robot stands."""
-        return abs(wrap(yaw_rad - self._yaw_rad))
+        self.pushed = WEAK * abs(self._way)
 
     @property
     def is_held(self) -> bool:
         """True if it stands although its thrust should have moved it."""
-        return self.pushed_m > HELD * self.room_m + self._balanced_m
+        return self.pushed > HELD * self.room + self._balanced_way
 
 
 class ThrustResponse:
@@ -214,7 +219,10 @@ class ThrustResponse:
             np.array(RESTLESS), np.empty(count), np.empty((count, STATES), np.complex128),
             np.empty((count, STATES, STATES), np.complex128), np.empty((2, STATES, STATES), np.complex128),
         )  # fmt: skip
-        self._surge = ActingThrust(1, KEPT, vehicle.thruster)
+        limits, drag, self._inertia = vehicle.limits.wrench, vehicle.drag.linear, vehicle.mass.yaw_kg_m2
+        self._place_axis = Axis(limits[0] / self._mass_kg, self._mass_kg / drag[0], STANDS_M)
+        self._heading_axis = Axis(limits[2] / self._inertia, self._inertia / drag[3], STANDS_RAD)
+        self._acting = ActingThrust(2, KEPT, vehicle.thruster)
         self.reset()
 
     def reset(self) -> None:
@@ -222,11 +230,11 @@ class ThrustResponse:
         self._at_ns: int | None = None
         self._yaw_rad, self._sure_s = 0.0, 0.0
         self.response = Response(1.0 + 0j, FIRST_GAIN, 0j)
-        self.standstill = Standstill(self._push.thrust_mps2)
+        self.place, self.heading = Standstill(self._place_axis), Standstill(self._heading_axis)
 
-    def note_thrust(self, surge_n: float, now_ns: int) -> None:
-        """Take note of the surge force of pulses that went out. Of two at one instant the last counts."""
-        self._surge.note((surge_n,), now_ns)
+    def note_thrust(self, surge_n: float, yaw_nm: float, now_ns: int) -> None:
+        """Take note of surge force and yaw moment of pulses that went out. Of two at one instant the last counts."""
+        self._acting.note((surge_n, yaw_nm), now_ns)
 
     def note_pose(self, stamp_ns: int, place: complex, yaw_rad: float, variance_m2: float) -> None:
         """Take in a pose. One that was given before is ignored."""
@@ -234,17 +242,18 @@ class ThrustResponse:
         if at_ns is not None and stamp_ns <= at_ns:
             return
         if at_ns is None or stamp_ns - at_ns > LONGEST_NS:
-            self._surge.impulse(stamp_ns - LONGEST_NS, stamp_ns)
+            self._acting.impulse(stamp_ns - LONGEST_NS, stamp_ns)
             self.reset()
             self._begin(stamp_ns, place, yaw_rad, variance_m2)
             return
         elapsed_s = (stamp_ns - at_ns) / NS
         middle_rad = self._yaw_rad + 0.5 * wrap(yaw_rad - self._yaw_rad)
-        acceleration = self._surge.impulse(at_ns, stamp_ns).item() / (elapsed_s * self._mass_kg) * cmath.exp(1j * middle_rad)
+        surge_ns, yaw_nms = self._acting.impulse(at_ns, stamp_ns).tolist()
+        acceleration = surge_ns / (elapsed_s * self._mass_kg) * cmath.exp(1j * middle_rad)
         self._yaw_rad = yaw_rad
         push = self._push._replace(acceleration=acceleration, elapsed_s=elapsed_s)
         self.response = follow_response(self._filters, push, place, variance_m2)
-        self.standstill.step(place, yaw_rad, math.sqrt(variance_m2), acceleration, elapsed_s)
+        self._note_standstill(place, math.sqrt(variance_m2), acceleration, yaw_nms / (elapsed_s * self._inertia), elapsed_s)
         self._sure_s = self._sure_s + elapsed_s if self.turn_evidence > 1.0 else 0.0
 
     def _begin(self, stamp_ns: int, place: complex, yaw_rad: float, variance_m2: float) -> None:
@@ -255,7 +264,15 @@ class ThrustResponse:
         self._filters.weight[:] = 1.0 / len(RESTLESS)
         self._filters.mean[:] = np.array([place, 0.0, 0.0, 1.0, 1.0])  # in the order of P, V, A, G, D
         self._filters.covariance[:] = 2.0 * np.diag(np.square(deviations))
-        self.standstill.step(place, yaw_rad, deviation_m, 0j, 0.0)
+        self._note_standstill(place, deviation_m, 0j, 0.0, 0.0)
+
+    def _note_standstill(self, place: complex, deviation_m: float, push: complex, turning: float, elapsed_s: float) -> None:
+        """Take in a pose, with the accelerations by thrust since the last one. Only a robot that stands can be held."""
+        direction = cmath.rect(1.0, self._yaw_rad)  # as far from another one as the angle between them
+        self.place.step(place, deviation_m, push, elapsed_s)
+        if self.place.stands_s == elapsed_s:
+            self.heading.begin(direction, turning)
+        self.heading.step(direction, 0.0, turning, elapsed_s)
 
     @property
     def turn_evidence(self) -> float:
@@ -270,7 +287,7 @@ class ThrustResponse:
     @property
     def stands_still(self) -> bool:
         """True if it has neither moved nor turned for STANDS_STILL_S."""
-        return self.standstill.stands_s > STANDS_STILL_S and self.standstill.turned_rad(self._yaw_rad) < STANDS_RAD
+        return self.heading.stands_s >= self.place.stands_s > STANDS_STILL_S
 
     @property
     def marker_turned_rad(self) -> float:
@@ -280,10 +297,14 @@ class ThrustResponse:
     @property
     def held_fast(self) -> str:
         """Evidence that the robot is held fast; empty if it is not."""
-        standstill = self.standstill
-        if not standstill.is_held:
-            return ""
-        return (
-            f"it has moved by less than {1e3 * standstill.room_m:.0f} mm in {standstill.stands_s:.1f} s, "
-            f"though its thrust should have moved it by {1e3 * standstill.pushed_m:.0f} mm"
-        )
+        if self.place.is_held:
+            return (
+                f"it has moved by less than {1e3 * self.place.room:.0f} mm in {self.place.stands_s:.1f} s, "
+                f"though its thrust should have moved it by {1e3 * self.place.pushed:.0f} mm"
+            )
+        if self.heading.is_held:
+            return (
+                f"it has turned by less than {math.degrees(self.heading.room):.0f} degrees in {self.heading.stands_s:.1f} s, "
+                f"though its thrust should have turned it by {math.degrees(self.heading.pushed):.0f} degrees"
+            )
+        return ""

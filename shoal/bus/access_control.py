@@ -69,16 +69,22 @@ def grants(member: Member) -> Grants:
     names = [process_name(member.role, member.robot)]
     names += [localizer_name("$*")] if member.role is Role.LOCALIZER else []  # one of several cameras
     every = (*TOPICS, *(topic.of_camera("*") for topic in OF_CAMERAS))
+    of_fleet = COMMAND_KEY.format(robot=WHOLE_FLEET)  # requests, which the station serves
+    serve: tuple[str, ...] = ()
     if member.role is Role.ROBOT:
-        serve: tuple[str, ...] = (COMMAND_KEY.format(robot=member.robot),)
-    else:
-        serve = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role is Role.STATION else ()
-    ask = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role in OPERATORS else ()
+        serve = (COMMAND_KEY.format(robot=member.robot),)
+    elif member.role is Role.STATION:
+        serve = (of_fleet,)
+    ask: tuple[str, ...] = ()
+    if member.role in COMMANDERS:
+        ask = (COMMAND_KEY.format(robot="*"),)
+    elif member.role in OPERATORS:
+        ask = (of_fleet,)
     return Grants(
         write=tuple(topic for topic in every if member.role in topic.writers),
         read=tuple(topic for topic in every if member.role in topic.readers),
         serve=serve,
-        ask=(COMMAND_KEY.format(robot="*"),) if member.role in COMMANDERS else ask,
+        ask=ask,
         announce=tuple(
             key.format(process=name, state="*", session="*") for name in names for key in (PRESENCE_KEY, CLAIM_KEY)
         ),

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from shoal.bus.command_deduplication import CommandDeduplicator
 from shoal.bus.delay_estimator import DelayEstimator
@@ -143,6 +143,7 @@ class Inbox(Generic[M]):
         return self._last_read
 
     def _newest(self, up_to_ns: int | None) -> Received[M] | None:
+        """The newest message that can be decoded, of those stamped until then."""
         for one in reversed(self._kept):
             if up_to_ns is not None and one.header.stamp_ns > up_to_ns:
                 continue
@@ -153,6 +154,7 @@ class Inbox(Generic[M]):
         return None
 
     def _decode(self, kept: "_Kept[M]") -> Received[M] | None:
+        """Decode a message; None for a bad one, which is counted."""
         try:
             message = self._bus.decode(self._kind, kept.payload, f"session {kept.header.session:x}", self._topic.name)
         except DecodeError as error:
@@ -166,6 +168,11 @@ def _claim_of(key: str) -> tuple[str, int]:
     """State and session of a claim's key."""
     state, session = key.split("/")[-2:]
     return state, int(session, 16)
+
+
+class _SentCommand(NamedTuple):
+    sequence: int
+    answer: Await  # waits for the reply
 
 
 class Bus:
@@ -356,31 +363,30 @@ class Bus:
             return self._read(command, key, data, f"no answer within {timeout_s:g} s" if is_late else NOBODY)
 
         def reply() -> Reply:
-            sequence, answer = first
-            reply = read(answer, asked_s)
+            reply = read(first.answer, asked_s)
             if reply.session:
                 self._recipients[key] = reply.session
             if recipient or not reply.session or reply.accepted:
                 return reply
             asked_again_s = time.monotonic()
-            named = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s, only_after=sequence)
+            named = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s, only_after=first.sequence)
             if named is None:
                 return Reply(command.robot, False, f"{command.order.name} was overtaken by a later order")
-            return read(named[1], asked_again_s)
+            return read(named.answer, asked_again_s)
 
         return reply
 
     def _ask(
         self, key: str, command: Command, stamp_ns: int, timeout_s: float, only_after: int | None = None
-    ) -> tuple[int, Await] | None:
-        """Send; returns the number that was given, and what waits. With `only_after` nothing, and None, if the last number
-        that was given is another."""
+    ) -> "_SentCommand | None":
+        """Send a command with the next number of its key. With `only_after` nothing is sent, and None returned, if the last
+        number that was given is another."""
         payload = encode(command)  # a trajectory takes its time: before the turn, so that no other order waits for it
         with self._turns.setdefault(key, threading.Lock()):
             if only_after is not None and self._sequences.get(key) != only_after:
                 return None
             header = self._next_header(key, stamp_ns)
-            return header.sequence, self.transport.ask(key, payload, header.encode(), timeout_s)
+            return _SentCommand(header.sequence, self.transport.ask(key, payload, header.encode(), timeout_s))
 
     def _read(self, command: Command, key: str, answer: bytes | None, silence: str) -> Reply:
         """The reply in an answer; where there is none, one that tells of this `silence`."""

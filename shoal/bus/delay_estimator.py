@@ -23,26 +23,37 @@ class DelayEstimator:
     def __init__(self) -> None:
         self._fastest = deque[tuple[int, int]](maxlen=WINDOWS)  # of each window: arrival, and arrived minus sent
         self._rate = 0.0  # at which the two clocks drift apart
-        self._since_ns = self._arrived_ns = 0
+        self._since_ns = self._arrived_ns = 0  # begin of the last window, and the last arrival
 
     def excess_ns(self, sent_ns: int, arrived_ns: int) -> int:
-        """The delay of a message beyond the fastest of late. `sent_ns` is on the sender's clock, `arrived_ns` on the
-        receiver's."""
+        """Take in a message, and return its delay beyond the fastest message of the last windows. `sent_ns` is on the sender's
+        clock, `arrived_ns` on the receiver's."""
         took_ns = arrived_ns - sent_ns
-        silent_ns, self._arrived_ns = arrived_ns - self._arrived_ns, arrived_ns
-        long_ago = silent_ns > WINDOWS * WINDOW_NS
-        if not self._fastest or (long_ago and abs(took_ns - self._least_ns(arrived_ns)) <= DRIFT * silent_ns):
-            self._since_ns, self._rate = arrived_ns, 0.0
+        silent_ns = arrived_ns - self._arrived_ns
+        self._arrived_ns = arrived_ns
+        if not self._fastest or self._is_drift(took_ns, arrived_ns, silent_ns):
+            self._begin_window(arrived_ns, 0.0)
             self._fastest.clear()
             self._fastest.append((arrived_ns, took_ns))
             return 0
         if arrived_ns - self._since_ns > WINDOW_NS:
-            self._since_ns, self._rate = arrived_ns, self._drift()
+            self._begin_window(arrived_ns, self._drift())
             self._fastest.append((arrived_ns, took_ns))
-        at_ns, least_ns = self._fastest[-1]
-        if took_ns <= least_ns + self._rate * (arrived_ns - at_ns):
+        fastest_arrived_ns, fastest_ns = self._fastest[-1]
+        if took_ns <= fastest_ns + self._rate * (arrived_ns - fastest_arrived_ns):
             self._fastest[-1] = arrived_ns, took_ns
         return took_ns - self._least_ns(arrived_ns)
+
+    def _is_drift(self, took_ns: int, arrived_ns: int, silent_ns: int) -> bool:
+        """True for the first message after a silence longer than all windows, if the drift of two clocks in that silence
+        explains its difference from the fastest: then all begins anew with it."""
+        is_long_silence = silent_ns > WINDOWS * WINDOW_NS
+        return is_long_silence and abs(took_ns - self._least_ns(arrived_ns)) <= DRIFT * silent_ns
+
+    def _begin_window(self, now_ns: int, rate: float) -> None:
+        """Begin a window, with the drift that is taken off in it."""
+        self._since_ns = now_ns
+        self._rate = rate
 
     def _least_ns(self, arrived_ns: int) -> int:
         """Arrival minus sending of the fastest of late, if it came now."""

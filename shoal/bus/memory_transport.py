@@ -5,19 +5,37 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import NamedTuple
 
 from shoal.bus.transport import Answer, Await, Collect, Deliver, Presence, Urgent
 from shoal.messages.topics import Qos
+
+
+class _Subscriber(NamedTuple):
+    pattern: str
+    deliver: Deliver
+    owner: "MemoryTransport"
+
+
+class _Watcher(NamedTuple):
+    pattern: str
+    presence: Presence
+    owner: "MemoryTransport"
+
+
+class _Queryable(NamedTuple):
+    answer: Answer
+    owner: "MemoryTransport"
 
 
 @dataclass
 class MemoryHub:
     """A network within one process: everyone on it hears everyone, at once and in order."""
 
-    subscribers: list[tuple[str, Deliver, "MemoryTransport"]] = field(default_factory=list)
-    queryables: dict[str, tuple[Answer, "MemoryTransport"]] = field(default_factory=dict)
-    tokens: dict[str, "MemoryTransport"] = field(default_factory=dict)
-    watchers: list[tuple[str, Presence, "MemoryTransport"]] = field(default_factory=list)
+    subscribers: list[_Subscriber] = field(default_factory=list)
+    queryables: dict[str, _Queryable] = field(default_factory=dict)  # by key
+    tokens: dict[str, "MemoryTransport"] = field(default_factory=dict)  # what is present, each with its owner
+    watchers: list[_Watcher] = field(default_factory=list)
     cache: dict[str, deque[tuple[str, bytes, bytes]]] = field(default_factory=dict)  # by key
     routes: dict[str, list[Deliver]] = field(default_factory=dict)  # by key: its subscribers, until these change
     lock: threading.RLock = field(default_factory=threading.RLock)
@@ -25,7 +43,7 @@ class MemoryHub:
     def listeners(self, key: str) -> list[Deliver]:
         """Subscribers of a key. Call it with the lock held."""
         if key not in self.routes:
-            self.routes[key] = [deliver for pattern, deliver, _ in self.subscribers if _matches(pattern, key)]
+            self.routes[key] = [entry.deliver for entry in self.subscribers if _matches(entry.pattern, key)]
         return self.routes[key]
 
 
@@ -44,6 +62,8 @@ class MemoryTransport:
         self._hub = hub
 
     def publisher(self, key: str, qos: Qos, cache_depth: int = 0) -> Callable[[bytes, bytes], None]:
+        """The function that delivers a message to all that subscribe, at once. The last ones are kept for later
+        subscribers."""
         with self._hub.lock:
             cached = self._hub.cache.setdefault(key, deque(maxlen=cache_depth))
 
@@ -57,8 +77,9 @@ class MemoryTransport:
         return put
 
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
+        """Deliver messages from now on, and for events also those that are kept."""
         with self._hub.lock:
-            self._hub.subscribers.append((key, deliver, self))
+            self._hub.subscribers.append(_Subscriber(key, deliver, self))
             self._hub.routes.clear()
             kept = [entries for cached, entries in self._hub.cache.items() if _matches(key, cached)]
             missed = list(chain.from_iterable(kept)) if qos is Qos.EVENT else []
@@ -66,6 +87,7 @@ class MemoryTransport:
             deliver(*entry)
 
     def collect(self, key: str, qos: Qos) -> Collect:
+        """The function that returns the messages since its last call."""
         waiting: deque[tuple[str, bytes, bytes]] = deque()
         self.subscribe(key, qos, lambda *message: waiting.append(message))
 
@@ -77,13 +99,13 @@ class MemoryTransport:
 
     def serve(self, key: str, answer: Answer, urgent: Urgent) -> None:
         with self._hub.lock:
-            self._hub.queryables[key] = (answer, self)
+            self._hub.queryables[key] = _Queryable(answer, self)
 
     def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
         """Ask and have the answer at once, in order: it is made in the thread that asks."""
         with self._hub.lock:
             queryable = self._hub.queryables.get(key)
-        reply = queryable[0](payload, header) if queryable else None
+        reply = queryable.answer(payload, header) if queryable else None
         return lambda: reply
 
     def announce(self, key: str) -> None:
@@ -93,26 +115,26 @@ class MemoryTransport:
 
     def watch(self, key: str, presence: Presence, anew: bool = False) -> None:
         with self._hub.lock:
-            self._hub.watchers.append((key, presence, self))
+            self._hub.watchers.append(_Watcher(key, presence, self))
             there = [token for token in self._hub.tokens if _matches(key, token)]
         for token in there:
             presence(token, True)
 
     def _tell(self, key: str, there: bool) -> None:
         with self._hub.lock:
-            watchers = [presence for pattern, presence, _ in self._hub.watchers if _matches(pattern, key)]
-        for presence in watchers:
-            presence(key, there)
+            watchers = [entry for entry in self._hub.watchers if _matches(entry.pattern, key)]
+        for entry in watchers:
+            entry.presence(key, there)
 
     def close(self) -> None:
         """Leave the hub: nothing of this process is delivered, answered or present any more."""
         with self._hub.lock:
-            self._hub.subscribers = [s for s in self._hub.subscribers if s[2] is not self]
+            self._hub.subscribers = [entry for entry in self._hub.subscribers if entry.owner is not self]
             self._hub.routes.clear()
-            self._hub.watchers = [w for w in self._hub.watchers if w[2] is not self]
-            self._hub.queryables = {k: q for k, q in self._hub.queryables.items() if q[1] is not self}
-            keys = [key for key, owner in self._hub.tokens.items() if owner is self]
-            for key in keys:
-                del self._hub.tokens[key]
-        for key in keys:
-            self._tell(key, False)
+            self._hub.watchers = [entry for entry in self._hub.watchers if entry.owner is not self]
+            self._hub.queryables = {key: entry for key, entry in self._hub.queryables.items() if entry.owner is not self}
+            own_tokens = [token for token, owner in self._hub.tokens.items() if owner is self]
+            for token in own_tokens:
+                del self._hub.tokens[token]
+        for token in own_tokens:
+            self._tell(token, False)

@@ -247,6 +247,7 @@ class ZenohTransport:
         self._workers: list[ThreadPoolExecutor] = []
 
     def _session(self, qos: Qos) -> zenoh.Session:
+        """The session for a quality of service: pictures have their own, which is opened when it is needed."""
         if qos is not Qos.IMAGE:
             return self._control
         with self._opening:
@@ -260,6 +261,7 @@ class ZenohTransport:
         return zenoh.CongestionControl.BLOCK if self._endpoint.lossless else zenoh.CongestionControl.DROP
 
     def publisher(self, key: str, qos: Qos, cache_depth: int = 0) -> Callable[[bytes, bytes], None]:
+        """The function that publishes on a key. With a cache, later subscribers get the last messages."""
         options = {"congestion_control": self._congestion, **_QOS[qos]}
         session = self._session(qos)
         publisher: Any
@@ -331,6 +333,7 @@ class ZenohTransport:
         self._kept.append(self._control.declare_queryable(key, on_query))
 
     def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
+        """Send a query, first in every queue. The returned function waits for the reply; None if none came in time."""
         replies = self._control.get(
             key,
             payload=payload,

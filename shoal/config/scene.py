@@ -145,22 +145,24 @@ PACES_S = (8.0, 14.0, 25.0, 45.0)  # of a change whose duration nobody gave; the
 def read_form(text: str, at_s: float) -> tuple[Change, ...]:
     """The change of form in `line 0.8 turn 30`, at each pace that may be tried. Raises ValueError for other text."""
     words = text.split()
-    shapes, values, order = SHAPES, dict[str, float](), tuple[int, ...]()
-    shape = next((each for each in shapes if words and words[0] == each), None)
+    names = ["turn", "scale", "order", "over"]
+    shape = next((each for each in SHAPES if words and words[0] == each), None)
     if shape is not None:
         words.pop(0)
-        if words and words[0] not in ("turn", "scale", "order", "over"):
+        if words and words[0] not in names:  # the number behind a shape needs no name
             words.insert(0, "spacing")
-    names = ("spacing", "turn", "scale", "order", "over") if shape is not None else ("turn", "scale", "order", "over")
+        names.append("spacing")
+    values: dict[str, float] = {}
+    order: tuple[int, ...] = ()
     for name, number in zip(words[::2], [*words[1::2], ""], strict=False):
         if name not in names or name in values or (name == "order" and order):
-            raise ValueError(f"{name!r}: must read {FORM_USAGE}, with a shape of {', '.join(shapes)}")
+            raise ValueError(f"{name!r}: must read {FORM_USAGE}, with a shape of {', '.join(SHAPES)}")
         if name == "order":
             order = _form_order(number)
         else:
             values[name] = _form_number(name, number)
     if shape is None and not order and not values.keys() - {"over"}:
-        raise ValueError(f"which form? It reads {FORM_USAGE}, with a shape of {', '.join(shapes)}")
+        raise ValueError(f"which form? It reads {FORM_USAGE}, with a shape of {', '.join(SHAPES)}")
     change = Change(
         at_s=at_s,
         shape=shape,

@@ -65,6 +65,7 @@ def build_package_of(file: str, source: str) -> bool:
 
 
 def _build(packages: tuple[str, ...], is_done: Callable[[str], bool]) -> Compilation:
+    """Compile the kernels of packages, unless it is done: one program at a time does it for all."""
     if all(map(is_done, packages)):
         return Compilation(0, True)
     _built.update(packages)
@@ -183,6 +184,7 @@ class Build:
         return True
 
     def _start(self, queue: list[str], limit_mb: float, workers: dict[Any, list[str]], ready: selectors.BaseSelector) -> None:
+        """Start a worker that compiles the modules of a queue."""
         path = json.dumps([part for part in sys.path if part] + [str(kernel_cache.ROOT)])
         command = [sys.executable, "-P", "-c", START, path, str(limit_mb), *queue]
         worker = subprocess.Popen(

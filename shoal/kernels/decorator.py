@@ -177,6 +177,7 @@ class KernelFile(caching.NullCache):
         return loaded
 
     def _load(self, target: Any) -> Any:
+        """The machine code from disk; None if there is none that can be loaded."""
         content = kernel_cache.read(self.name)
         if content is None:
             return None

@@ -30,6 +30,7 @@ SingleCube = Annotated[NDArray[np.float32], 3]
 Image = Annotated[NDArray[np.uint8], 3]
 Bools = Annotated[NDArray[np.bool_], 1]
 Complexes = Annotated[NDArray[np.complex128], 1]  # x + iy
+ComplexTable = Annotated[NDArray[np.complex128], 2]
 
 MOST_PARAMETERS = 8  # more have to be grouped in records, or nobody knows which number is which
 SCALARS = {float: types.float64, int: types.int64, bool: types.boolean, complex: types.complex128, type(None): types.void}
@@ -62,6 +63,7 @@ def fields_of(record: Any) -> dict[str, Any]:
 
 @cache
 def _numba_type(hint: Any) -> Any:
+    """Numba's type for an annotation. Raises TypeError for one that no kernel takes."""
     tuple_of: Any = types.BaseTuple.from_types
     if hint in SCALARS:
         return SCALARS[hint]

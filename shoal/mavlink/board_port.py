@@ -164,6 +164,7 @@ class SerialLink:
         )
 
     def _reopen(self) -> None:
+        """Open the serial port again, or note why that cannot be done."""
         try:
             self._port = serial.Serial(self._device, self._found_baud, timeout=0, write_timeout=0, exclusive=True)
             _keep_dtr(self._port.fileno())
@@ -209,24 +210,29 @@ class SerialLink:
             return b""
 
     def _note_bytes(self, port: serial.Serial, data: bytes, now_s: float) -> None:
-        """Take note of bytes of the board: whether a frame is among them, or else which rate is the next to be tried."""
+        """Take note of bytes of the board, and search for its baud rate: until an intact frame is among them, the next rate
+        is tried every BAUD_S."""
         if now_s - self._opened_s < SETTLE_S:
             return
         if now_s - self._heard_s > SILENT_S or self._heard_s < self._opened_s:  # it may have been reset
-            self._is_understood, self._turn = False, 0
+            self._is_understood = False
+            self._turn = 0
             self._listen_at(port, port.baudrate, now_s)
         self._heard_s = now_s
         if self._is_understood:
             return
         self._listener.receive(data, round(now_s * 1e9))
         if self._listener.foreign_peer is not None:
-            self._is_understood, self._turn = True, 0
-            before, self._found_baud = self._found_baud, port.baudrate
-            if self._found_baud != before and self.advice:
+            self._is_understood = True
+            self._turn = 0
+            is_new_rate = port.baudrate != self._found_baud
+            self._found_baud = port.baudrate
+            if is_new_rate and self.advice:
                 log.warning("thruster board: %s", self.advice)
         elif now_s - self._turn_s > BAUD_S:
             self._turn += 1
-            self._listen_at(port, self._bauds[(self._bauds.index(port.baudrate) + 1) % len(self._bauds)], now_s)
+            next_index = (self._bauds.index(port.baudrate) + 1) % len(self._bauds)
+            self._listen_at(port, self._bauds[next_index], now_s)
 
     def _listen_at(self, port: serial.Serial, baud: int, now_s: float) -> None:
         """Listen for a frame at a baud rate. One that the port does not have leaves it as it is, until the next one's turn."""

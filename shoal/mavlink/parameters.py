@@ -118,6 +118,7 @@ class ParameterClient:
             self._read(message)
 
     def _read(self, message: Any) -> None:
+        """Take in a message of the board: who it is, a parameter, an error, its last words."""
         kind = message.get_type()
         self.has_answered = True
         if kind == "HEARTBEAT":

@@ -84,15 +84,16 @@ class SignatureVerifier:
         timestamp = int.from_bytes(signed[-6:], "little")
         if timestamp <= self._streams.get(stream, self._floor):
             return SignatureVerdict.REPLAYED
-        if stream not in self._streams and not self._has_room(timestamp):
+        if stream not in self._streams and not self._make_room(timestamp):
             return SignatureVerdict.REPLAYED
         self._streams[stream] = timestamp
         self.newest = max(self.newest, timestamp)
         return SignatureVerdict.GOOD
 
-    def _has_room(self, timestamp: int) -> bool:
-        """True if a new stream may begin at this time. If all places are taken it gets that of a stream unused for more than
-        a minute, of which nothing said before can count as new."""
+    def _make_room(self, timestamp: int) -> bool:
+        """Make room for a new stream that begins at this time. Returns False if there is none, and for one that begins more
+        than a minute before the newest timestamp. If all places are taken, a stream that was silent for more than a minute
+        is forgotten: all that it has sent is too old to begin a stream again."""
         if timestamp + MINUTE < self.newest:
             return False
         if len(self._streams) < STREAMS:

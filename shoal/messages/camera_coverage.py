@@ -24,6 +24,7 @@ def outside_m(cameras: Sequence[Camera], places_m: Array, reach_m: float) -> Arr
 
 
 def _outside_one_m(camera: Camera, places_m: Array, reach_m: float) -> Array:
+    """Distance (n,) in m of places (n, 3), with a reach around each, beyond the picture of one camera; below 0 inside."""
     places = np.column_stack([places_m[:, :2], np.maximum(places_m[:, 2], 0.0)])
     points = np.concatenate([places[:, None], places[:, None] + reach_m * _RING], axis=1)  # (n, 9, 3)
     pixels = _without_fold(camera, points.reshape(-1, 3)).reshape(-1, 9, 2)

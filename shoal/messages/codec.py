@@ -179,20 +179,22 @@ def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
 
 
 def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
-    """Function that checks a repeated field's numbers and gives them a shape; -1 is any length."""
-    row, any_length = math.prod(n for n in shape if n != -1), -1 in shape
+    """Function that checks a repeated field's numbers and gives them a shape, in which -1 stands for any length."""
+    has_any_length = -1 in shape
+    row_size = math.prod(n for n in shape if n != -1)  # of the whole shape if no length is open
 
     def read(value: Any, name: str) -> Any:
         if len(value) > _SHORT:
             array = np.array(value, dtype=np.float64)
-            small = bool(np.abs(array).max() <= LARGEST)  # false for NaN
+            is_valid = bool(np.abs(array).max() <= LARGEST)  # false for NaN
         else:  # of a few numbers lists are faster
             numbers = value[:]
             array = np.array(numbers, dtype=np.float64)
-            small = sum(map(abs, numbers)) <= LARGEST or bool(np.abs(array).max() <= LARGEST)
-        if not small:
+            is_valid = sum(map(abs, numbers)) <= LARGEST or bool(np.abs(array).max() <= LARGEST)
+        if not is_valid:
             raise _Invalid(name, f"holds a value that is not a finite number below {LARGEST:g}")
-        if (array.size % row if any_length else array.size - row) != 0:
+        fits = array.size % row_size == 0 if has_any_length else array.size == row_size
+        if not fits:
             raise _Invalid(name, f"{array.size} values do not fill the shape {shape}")
         return array.reshape(shape)
 

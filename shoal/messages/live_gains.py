@@ -58,6 +58,7 @@ def _idle(controller: ControllerConfig) -> tuple[str, ...]:
 
 
 def _within(prefix: str, section: Section) -> Iterator[TunableParameter]:
+    """The parameters of a section, and of the sections in it, that may change in flight."""
     for name, field in type(section).model_fields.items():
         key, value = f"{prefix}.{name}", getattr(section, name)
         if isinstance(value, Section):

@@ -43,22 +43,27 @@ class SessionClocks:
         self._localizers = set[int]()  # sessions
 
     def note(self, topic: Topic, session: int, stamp_ns: int, arrived_ns: int, message: object) -> None:
-        """Take in a message. In lockstep all share one clock, and the arrival is the stamp."""
+        """Take in a message: keep, for each window of its sender's clock, the least time that one was on its way. In lockstep
+        all share one clock, and a message arrives at its stamp: there is nothing to keep."""
         if isinstance(message, LocalizerStatus):
             self._localizers.add(session)
-        held = held_ns(topic, message)
-        if held is not None and arrived_ns != stamp_ns:
-            windows, at = self._quickest_ns[session, topic is topics.EVENT], stamp_ns // WINDOW_NS
-            ahead_ns = arrived_ns - stamp_ns - held
-            windows[at] = min(windows.get(at, ahead_ns), ahead_ns)
+        age_ns = held_ns(topic, message)
+        is_lockstep = arrived_ns == stamp_ns
+        if age_ns is None or is_lockstep:
+            return
+        ahead_ns = arrived_ns - stamp_ns - age_ns
+        quickest_ns = self._quickest_ns[session, topic is topics.EVENT]
+        window = stamp_ns // WINDOW_NS
+        quickest_ns[window] = min(quickest_ns.get(window, ahead_ns), ahead_ns)
 
     def shift_ns(self, topic: str, session: int, stamp_ns: int) -> int:
         """Shift of a stamp in a topic of that name; 0 where the clocks are one, and where nothing is known."""
-        windows, at = self._windows(session, topic == topics.EVENT.name), stamp_ns // WINDOW_NS
-        if not windows or _is_alike(windows):
+        quickest_ns = self._windows(session, topic == topics.EVENT.name)
+        if not quickest_ns or _is_alike(quickest_ns):
             return 0
-        near = [windows[k] for k in (at - 1, at, at + 1) if k in windows]
-        return min(near) if near else round(median(windows.values()))
+        window = stamp_ns // WINDOW_NS
+        near = [quickest_ns[k] for k in (window - 1, window, window + 1) if k in quickest_ns]
+        return min(near) if near else round(median(quickest_ns.values()))
 
     def _windows(self, session: int, of_log: bool) -> dict[int, int]:
         """Quickest messages of a clock, by window. Lines of a log go by what else their sender says: those of before the
@@ -68,4 +73,5 @@ class SessionClocks:
 
 
 def _is_alike(windows: dict[int, int]) -> bool:
+    """True if a clock, by its quickest messages in each window, is the recorder's own."""
     return abs(median(windows.values())) <= ALIKE_NS

@@ -82,11 +82,6 @@ class Topic:
         """The writing roles, for people."""
         return " or ".join(role.value for role in self.writers)
 
-    @property
-    def audience(self) -> str:
-        """The reading roles, for people."""
-        return "everyone" if self.readers == EVERYONE else ", ".join(role.value for role in self.readers)
-
 
 def _limited(limit: str, name: str, kind: type, rate_hz: float, recorded: bool, writers: tuple[Role, ...]) -> Topic:
     """A topic for control whose greatest age an experiment sets."""

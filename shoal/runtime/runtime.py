@@ -203,6 +203,7 @@ class _BusHandler(logging.Handler):
         self._bus, self._clock, self._source = bus, clock, source
 
     def emit(self, record: logging.LogRecord) -> None:
+        """Publish a line of the log as an event."""
         from shoal.messages import topics
         from shoal.messages.messages import Event
 

@@ -145,6 +145,7 @@ def _ask(
 
 
 def _print_results(outcomes: "Iterable[RuleResult]", quiet: bool) -> "Iterator[RuleResult]":
+    """Print each result as it comes, and pass it on."""
     from sim_bridge.board_conformance.runner import RuleVerdict
 
     colours = {RuleVerdict.PASSED: "green", RuleVerdict.FAILED: "red", RuleVerdict.SKIPPED: None}

@@ -48,12 +48,14 @@ def stops(frame: Callable[[BoardProbe], Callable[[], bytes] | None]) -> Callable
 
 
 def repeated(probe: BoardProbe) -> Callable[[], bytes]:
+    """Frames of a sender that repeats one valid override."""
     frame = probe.pulses()
     probe.wire.send(frame)
     return lambda: frame
 
 
 def damaged(probe: BoardProbe) -> Callable[[], bytes]:
+    """Frames of overrides with a bit of their payload flipped, another one each time."""
     count = iter(range(10**9))
 
     def frame() -> bytes:
@@ -65,6 +67,7 @@ def damaged(probe: BoardProbe) -> Callable[[], bytes]:
 
 
 def alive(probe: BoardProbe) -> Callable[[], bytes]:
+    """Frames that show a living computer, without an override."""
     return lambda: probe.computer.heartbeat() + probe.computer.timesync(probe.wire.now_ns())
 
 
@@ -79,6 +82,7 @@ def holds(probe: BoardProbe) -> Measured:
 
 
 def revival(probe: BoardProbe) -> Measured:
+    """Send overrides again after a silence: the board must stay disarmed."""
     if not probe.arm():
         return False, "does not arm"
     probe.listen(0.6)
@@ -90,6 +94,7 @@ def revival(probe: BoardProbe) -> Measured:
 
 
 def disarmed_neutral(probe: BoardProbe) -> Measured:
+    """Command thrust without arming: every echo must stay neutral."""
     first = len(probe.samples)
     probe.stream(probe.nudge, 0.6)
     moved = [s.echo_us for s in probe.samples[first:] if s.echo_us[:4] != (probe.neutral_us,) * 4]
@@ -97,6 +102,7 @@ def disarmed_neutral(probe: BoardProbe) -> Measured:
 
 
 def follows(probe: BoardProbe) -> Measured:
+    """Command another pulse of each thruster: the echo must reach all of them."""
     if not probe.arm():
         return False, "does not arm"
     offs = (NUDGE_US, -NUDGE_US, NUDGE_US / 2 + 10, -NUDGE_US / 2 - 10)
@@ -108,6 +114,7 @@ def follows(probe: BoardProbe) -> Measured:
 
 
 def at_once(probe: BoardProbe) -> Measured:
+    """Disarm while a thruster turns and its pulses go on coming: the board must be neutral within 100 ms."""
     if not probe.arm():
         return False, "does not arm"
     probe.stream(probe.nudge, 0.6)
@@ -121,6 +128,7 @@ def at_once(probe: BoardProbe) -> Measured:
 
 
 def stops_from_thrust(probe: BoardProbe) -> Measured:
+    """Fall silent while a thruster turns: the worst time of TURNS trials until the board is disarmed and neutral."""
     worst = 0.0
     for _ in range(TURNS):
         if not probe.arm():
@@ -183,6 +191,7 @@ def out_of_range(probe: BoardProbe) -> Measured:
 
 
 def ankles(probe: BoardProbe) -> Measured:
+    """Send overrides with an ankle out of range between good ones: no ankle may move, and the board stays armed."""
     probe.listen(0.1)
     before = probe.computer.telemetry.echo_us[4:]
     if not probe.arm():
@@ -204,6 +213,7 @@ BURST_HZ = 45.0
 
 
 def _parameters(probe: BoardProbe) -> Measured:
+    """Ask for all parameters, again where answers are lost: the list must become complete."""
     for _ in range(12):
         probe.wire.send(probe.station.ask_all())
         if probe.listen(1.5, lambda: probe.station.complete):
@@ -212,10 +222,12 @@ def _parameters(probe: BoardProbe) -> Measured:
 
 
 def _bad_frames(probe: BoardProbe) -> int:
+    """Number of the board's frames that could not be used."""
     return probe.computer.telemetry.bad_frames + probe.computer.telemetry.refused_frames
 
 
 def _telemetry(probe: BoardProbe) -> Measured:
+    """Count bursts of telemetry for two seconds, and bad frames among them."""
     probe.listen(0.2)
     times_ms: set[int] = set()
     # A link that was opened in the middle of a frame began with a bad one.
@@ -231,11 +243,13 @@ def _telemetry(probe: BoardProbe) -> Measured:
 
 
 def _power_on(probe: BoardProbe) -> Measured:
+    """Ask for nothing: the board must be disarmed and neutral."""
     probe.listen(1.2)
     return not probe.armed and probe.still, f"{'armed' if probe.armed else 'disarmed'}, {probe.computer.telemetry.echo_us}"
 
 
 def _clock(probe: BoardProbe) -> Measured:
+    """Measure the slowest of TURNS answers to TIMESYNC."""
     worst = max(probe.answers(probe.computer.timesync(probe.wire.now_ns())) for _ in range(TURNS))
     return worst <= 0.05, ms(worst)
 
@@ -244,6 +258,7 @@ def _clock(probe: BoardProbe) -> Measured:
 
 
 def _refused(probe: BoardProbe, result: int | None) -> Measured:
+    """Judge the reply to a request to arm: it must be a refusal, and the board disarmed."""
     probe.listen(0.2)
     good = result not in (None, ACCEPTED) and not probe.armed
     return good, f"result {result}, {'armed' if probe.armed else 'disarmed'}"
@@ -271,11 +286,13 @@ def _arming_forced(probe: BoardProbe) -> Measured:
 
 
 def _arming_thrust(probe: BoardProbe) -> Measured:
+    """Ask for arming while a thruster is commanded: it must be refused."""
     probe.stream(probe.nudge, 0.3)
     return _refused(probe, probe.ask_arm(frame=probe.nudge))
 
 
 def _arming_strange(probe: BoardProbe) -> Measured:
+    """Ask for arming while only a stranger's overrides come: the board must stay disarmed."""
     probe.listen(0.6)
     probe.stream(probe.of_a_stranger, 0.3)
     probe.wire.send(probe.station_arms(True))
@@ -284,6 +301,7 @@ def _arming_strange(probe: BoardProbe) -> Measured:
 
 
 def _arming(probe: BoardProbe) -> Measured:
+    """Ask for arming on young neutral overrides: it must be accepted, with no thruster turning."""
     probe.stream(probe.pulses, 0.3)
     result = probe.ask_arm(frame=probe.pulses)
     armed = probe.stream(probe.pulses, 0.5, lambda: probe.armed)
@@ -291,6 +309,7 @@ def _arming(probe: BoardProbe) -> Measured:
 
 
 def _disarming(probe: BoardProbe) -> Measured:
+    """Disarm an armed board from a ground station."""
     if not probe.arm():
         return False, "does not arm"
     probe.wire.send(probe.station_arms(False))
@@ -346,6 +365,7 @@ def _set(probe: BoardProbe) -> Measured:
 
 
 def _bounds(probe: BoardProbe) -> Measured:
+    """Set parameters out of their range: each must stay as it was."""
     accepted = []
     for name, value in (("CMD_AGE_MS", 5000.0), ("CMD_AGE_MS", math.nan), ("SLEW_US_S", -1.0), ("THR_MAX_US", math.inf)):
         before = probe.station.values[name]
@@ -358,6 +378,7 @@ def _bounds(probe: BoardProbe) -> Measured:
 
 
 def _set_armed(probe: BoardProbe) -> Measured:
+    """Set a parameter while armed: it must stay as it was."""
     before = probe.station.values["SLEW_US_S"]
     if not probe.arm():
         return False, "does not arm"

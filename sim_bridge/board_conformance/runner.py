@@ -61,6 +61,7 @@ def examine(probe: BoardProbe, dry: bool, rules: Iterable[Rule]) -> Iterator[Rul
 
 
 def _try(rule: Rule, probe: BoardProbe) -> Measured:
+    """Check a rule, and bring the board back to rest with its own parameters."""
     try:
         passed, measured = rule.check(probe)
     except KeyError as missing:

@@ -82,7 +82,8 @@ def tune(
     """Tune the laws that the MPC is compared with: the same search, budget and flights for each; print sections for an
     experiment file.
 
-    With --set vehicle=FILE.toml for another vehicle.
+    With --set vehicle=FILE.toml for another vehicle. Exit code 1 if a search ended before its budget was spent: its best
+    gains so far are printed all the same.
 
     Example:  sim-bridge tune --laws pid,lqr --budget 100 > gains.toml
     """
@@ -93,10 +94,15 @@ def tune(
 
     chosen = _names(laws, [name for name in get_args(LawName) if name not in ("eso-mpc-article", "nmpc")], "--laws")
     scene_names = _names(scenes, tuning.SCENES, "--scenes")
-    console = terminal(background(sys.stderr))
+    console, code = terminal(background(sys.stderr)), 0
     for tuned in tuning.run(chosen, scene_names, settings or (), _range(seeds), budget, _cores(jobs), console):
-        console.print(f"{tuned.law}: cost {tuned.first:.3f} before, {tuned.best:.3f} after {budget} trials", soft_wrap=True)
+        after = f"{tuned.trials} of {budget}" if tuned.cut_short else f"{budget}"
+        console.print(f"{tuned.law}: cost {tuned.first:.3f} before, {tuned.best:.3f} after {after} trials", soft_wrap=True)
+        if tuned.cut_short:
+            code = 1
+            console.print(f"{tuned.law}: the search has not ended: {tuned.cut_short}", style="red", soft_wrap=True)
         typer.echo(tuned.toml())
+    raise typer.Exit(code)
 
 
 def _names(text: str, allowed: Collection[str], option: str) -> list[str]:

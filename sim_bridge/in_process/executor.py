@@ -121,15 +121,17 @@ def _next(steps: Generator[None, None, Any]) -> tuple[bool, Any]:
 
 @contextmanager
 def _own_log() -> Iterator[None]:
-    """Log nowhere but where the parts do."""
-    before, log.handlers[:] = (log.handlers[:], log.level, log.propagate), []
+    """Take the logger's handlers away meanwhile, so that only the log files of the parts are written."""
+    handlers, level, propagates = log.handlers[:], log.level, log.propagate
+    log.handlers.clear()
     log.setLevel(logging.INFO)
     log.propagate = False
     try:
         yield
     finally:
-        log.handlers[:], level, log.propagate = before
+        log.handlers[:] = handlers
         log.setLevel(level)
+        log.propagate = propagates
 
 
 @contextmanager

@@ -272,14 +272,15 @@ class AgentFleet:
         robot.states.append(replace(outputs.state, timing=timing) if took_ns else outputs.state)
 
     def _received(self, i: int, plans: Mapping[int, StampedPlan | None]) -> Inputs:
-        """Inputs of the i-th robot by radio, on its own clock."""
-        me, ahead_ns = self.experiment.robot_ids[i], self.ahead_ns[i]
-        pose, adrift = self.pose(i), self._newest_obstacles()
+        """Inputs of the i-th robot by radio. Their instants are on its own clock, which is `ahead_ns` ahead of the plant's."""
+        robot, ahead_ns = self.experiment.robot_ids[i], self.ahead_ns[i]
+        others = {other: plan for other, plan in plans.items() if plan is not None and other != robot}
+        pose, obstacles = self.pose(i), self._newest_obstacles()
         return Inputs(
-            pose=StampedPose(pose.pose, pose.instant_ns + ahead_ns) if pose is not None else None,
+            pose=pose and StampedPose(pose.pose, pose.instant_ns + ahead_ns),
             station=self.station(),
-            plans={r: StampedPlan(p.plan, p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me},
-            obstacles=StampedObstacles(adrift.obstacles, adrift.instant_ns + ahead_ns) if adrift is not None else None,
+            plans={other: StampedPlan(plan.plan, plan.instant_ns + ahead_ns) for other, plan in others.items()},
+            obstacles=obstacles and StampedObstacles(obstacles.obstacles, obstacles.instant_ns + ahead_ns),
         )
 
     def _remembered(self, i: int) -> Inputs:

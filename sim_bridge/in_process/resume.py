@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -152,23 +153,34 @@ def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str])
     ]
 
 
+class _FaultByHand(NamedTuple):
+    """A fault that a person made."""
+
+    what: str
+    at_s: float
+    for_s: float
+
+    def mended(self, now_s: float) -> "_FaultByHand":
+        """The same, over at an instant if not before."""
+        return self._replace(for_s=min(self.for_s, max(now_s - self.at_s, 0.001)))
+
+    def __str__(self) -> str:
+        """The fault as --fault takes it."""
+        during = f" for={self.for_s:.10g}" if math.isfinite(self.for_s) else ""
+        return f"t={self.at_s:.3f}{during} {self.what}"
+
+
 def faults_by_hand(run: Path) -> list[tuple[str, str]]:
     """Faults that a person made in a recorded run: what broke, and the whole as --fault takes it."""
-    faults: list[tuple[float, float, str]] = []  # instant, duration, what
+    faults: list[_FaultByHand] = []
     for entry in read_log(run / "run.mcap", (topics.EVENT,)).of(topics.EVENT, Event):
         line = entry.message.message
         for part in line.removeprefix(BY_HAND).split("; ") if line.startswith(BY_HAND) else ():
             if (made := re.fullmatch(r"t=(\S+)(?: for=(\S+))? (.+)", part)) is not None:
-                faults.append((float(made[1]), float(made[2] or math.inf), made[3]))
+                faults.append(_FaultByHand(made[3], float(made[1]), float(made[2] or math.inf)))
             elif (mended := re.fullmatch(r"mended at (\S+) s: (.+)", part)) is not None:
-                at_s = float(mended[1])
-                faults = [
-                    (begin_s, min(for_s, max(at_s - begin_s, 0.001)) if what == mended[2] else for_s, what)
-                    for begin_s, for_s, what in faults
-                ]
-    return [
-        (what, f"t={at_s:.3f}{f' for={for_s:.10g}' if math.isfinite(for_s) else ''} {what}") for at_s, for_s, what in faults
-    ]
+                faults = [fault.mended(float(mended[1])) if fault.what == mended[2] else fault for fault in faults]
+    return [(fault.what, str(fault)) for fault in faults]
 
 
 def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:

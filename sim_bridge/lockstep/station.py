@@ -22,6 +22,7 @@ class StationPace:
         self._station, self._lockstep = station, lockstep
 
     def __iter__(self) -> Iterator[int]:
+        """Times of the station's cycles: one for each tick, once the messages of the step before have arrived."""
         station, lockstep, inboxes = self._station, self._lockstep, self._station.inboxes
         while (tick := lockstep.next()) is not None:
             station.bus.unreachable = frozenset(tick.no_radio)

@@ -26,9 +26,9 @@ OVERTAKEN_NS = 50_000_000  # ns, longest delay of an overtaken datagram: a contr
 class LossyLink(Generic[T]):
     """Datagrams on their way in one direction."""
 
-    def __init__(self, seed: int, robot: int, direction: int, none: T) -> None:
-        """`none` is the tag of a datagram that was overtaken."""
-        self._none = none
+    def __init__(self, seed: int, robot: int, direction: int, overtaken_tag: T) -> None:
+        """`overtaken_tag` replaces the tag of a datagram that was overtaken."""
+        self._overtaken_tag = overtaken_tag
         self._random = generator(seed, Stream.LINK, robot, direction)
         self._queue: list[tuple[int, int, bytes, T]] = []  # due, order of arrival, datagram, tag
         self._count = self._newest = 0
@@ -58,13 +58,15 @@ class LossyLink(Generic[T]):
         return self._queue[0][0] if self._queue else None
 
     def pop(self, now_ns: int) -> list[tuple[bytes, T]]:
-        """The datagrams that leave by now, with their tags; `none` for an overtaken one, which MAVLink takes for stale."""
-        out: list[tuple[bytes, T]] = []
+        """Take out the datagrams that are due, each with its tag. One that a later datagram has overtaken gets the tag for
+        that: MAVLink refuses it as stale."""
+        due: list[tuple[bytes, T]] = []
         while self._queue and self._queue[0][0] <= now_ns:
             _, order, data, tag = heapq.heappop(self._queue)
-            out.append((data, tag if order > self._newest else self._none))
+            is_overtaken = order <= self._newest
+            due.append((data, self._overtaken_tag if is_overtaken else tag))
             self._newest = max(self._newest, order)
-        return out
+        return due
 
 
 READ_BYTES = 65536
@@ -133,6 +135,7 @@ class UdpPort:
         self._heard_ns.clear()
 
     def send(self, data: bytes, now_ns: int) -> None:
+        """Send a datagram to each peer that was heard of late, and to the last one in any case."""
         for peer, heard_ns in list(self._heard_ns.items()):
             if now_ns - heard_ns > PEER_GONE_NS and len(self._heard_ns) > 1:
                 del self._heard_ns[peer]

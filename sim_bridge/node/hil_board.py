@@ -146,6 +146,7 @@ class HilBoard:
             log.warning("robot %d: the times of signatures cannot be kept: %s", self._robot_id, error)
 
     def _check(self, now_ns: int) -> None:
+        """Raise Failed for a board that is silent, or not in HIL mode."""
         board = self._board
         if board.hil is False:
             raise Failed(f"robot {self._robot_id}: {not_in_hil(self._where)}")

@@ -5,6 +5,7 @@ stops at every control step until each robot's pulses have arrived.
 """
 
 import contextlib
+import math
 import queue
 import threading
 import time
@@ -183,6 +184,7 @@ class PoolNode:
             _end(camera, exposures)
 
     def _expose(self, world: World, begin_ns: int, exposures: "queue.Queue[Exposure | None]") -> None:
+        """Publish the truth, and hand an exposure to the camera; left out if that is still busy with those before."""
         stamp_ns = begin_ns + world.now_ns
         self._bus.publish(topics.TRUTH, world.truth(), stamp_ns)
         exposure = self._exposure(world, stamp_ns)
@@ -251,7 +253,8 @@ class PoolNode:
         steps, period_ns = self._experiment.plant_steps, round(self._experiment.controller.period_s * 1e9)
         step_ns = period_ns // steps
         # A tick is at a step of the plant: boards would report from after it. At 0 no board has said a word.
-        tick_ns, previous_ns = -(-round(self._experiment.sim.latency_s * 1e9) // step_ns) * step_ns or period_ns, -1
+        latency_steps = math.ceil(round(self._experiment.sim.latency_s * 1e9) / step_ns)
+        tick_ns, previous_ns = latency_steps * step_ns or period_ns, -1
         self._expose_in_lockstep(world, tick_ns, previous_ns)
         due_s = 0.0
         while not self._stop.requested:

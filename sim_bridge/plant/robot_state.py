@@ -77,14 +77,19 @@ def set_state(states: Table, motion: LevelMotion, i: int) -> None:
 
 @kernel(part=True)
 def set_motion(states: Table, motion: LevelMotion, i: int) -> None:
-    """The inverse of `set_state`."""
+    """Write the motion of robot i on level axes from its state: the inverse of `set_state`."""
     eta, nu, tilt = motion
-    turn, (linear, angular) = rotation_of(states, i), nu_of(states, i)
-    rates = angle_rates(turn, angular)
+    attitude = rotation_of(states, i)
+    velocity = nu_of(states, i)
+    rates = angle_rates(attitude, velocity.angular)
     set_row(eta, i, 0, place_of(states, i))
-    set_row(nu, i, 0, to_level(turn, linear))
-    eta[i, TURN], nu[i, TURN] = states[i, YAW], rates.z
-    tilt[i, 0], tilt[i, 1], tilt[i, ROLL_RATE], tilt[i, PITCH_RATE] = states[i, ROLL], states[i, PITCH], rates.x, rates.y
+    eta[i, TURN] = states[i, YAW]
+    set_row(nu, i, 0, to_level(attitude, velocity.linear))
+    nu[i, TURN] = rates.z
+    tilt[i, 0] = states[i, ROLL]
+    tilt[i, 1] = states[i, PITCH]
+    tilt[i, ROLL_RATE] = rates.x
+    tilt[i, PITCH_RATE] = rates.y
 
 
 @kernel(part=True)

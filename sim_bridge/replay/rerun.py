@@ -115,6 +115,7 @@ class Rerun:
         yield topics.STATE, outputs.state, now_ns
 
     def _obey(self, now_ns: int, record: CommandTaken) -> None:
+        """Give the agent a command that it was given in the run."""
         if record.command is None:
             return
         # Another experiment has another hash: a rerun with other settings is asked for on purpose.

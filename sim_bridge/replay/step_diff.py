@@ -183,6 +183,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _difference(name: str, old: Sequence[Any], new: Sequence[Any], differs: Array, time_s: Array) -> Difference:
+    """The difference of one value between two runs: where it begins, its largest and its RMS."""
     steps, first_s = int(differs.sum()), float(time_s[np.flatnonzero(differs)[0]])
     pairs = [(_row(a), _row(b)) for a, b in zip(old, new, strict=True)]
     both = [(a, b) for a, b in pairs if a is not None and b is not None]  # a part of a state is not there at every step

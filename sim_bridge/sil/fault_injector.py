@@ -44,6 +44,7 @@ class ProcessFaultInjector:
             self._do(fault, undo=True)
 
     def _do(self, fault: Fault, undo: bool) -> None:
+        """Begin a fault, or undo it, and say so. While another of its kind lasts, undoing goes back to that one."""
         if fault.broken.effect == "killed":
             self.killed.add(fault.broken.process)
         what = fault.broken.kind, fault.broken.process
@@ -53,6 +54,7 @@ class ProcessFaultInjector:
         self._bus.publish(topics.EVENT, Event(INFO, "sim-bridge", text), self._clock.now_ns())
 
     def _apply(self, fault: Fault, undo: bool) -> None:
+        """Break a child process, its disk or its clock, or undo that."""
         broken = fault.broken
         for child in self._children.all:
             if child.exit_code is None and child.name == (broken.process or "groundstation"):

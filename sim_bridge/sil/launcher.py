@@ -200,6 +200,7 @@ def _secret_folder() -> "tempfile.TemporaryDirectory[str]":
 
 
 def _runs(pid: int) -> bool:
+    """True if a process with this number runs, of whatever user."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -273,6 +274,7 @@ def _written(file: Path) -> tuple[int, int] | None:
 
 
 def _listens(address: str, station: Child, stop: Stop) -> bool:
+    """Wait until something listens at the station's address. False if its program ends, or none does in time."""
     _, host, port = parse_address(address)
     deadline = time.monotonic() + START_WITHIN_S
     while time.monotonic() < deadline and station.exit_code is None and not stop.requested:

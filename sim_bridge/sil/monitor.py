@@ -187,6 +187,7 @@ def _remark(state: RobotState) -> str:
 
 
 def _cells(state: RobotState) -> tuple[str, ...]:
+    """Cells of a robot's row."""
     return (
         state.mode.name.lower(),
         _error(state),

@@ -43,6 +43,7 @@ class Draw(Section):
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> Self:
+        """Refuse a distribution that is not exactly one of the three, or whose numbers make none."""
         kinds = [kind for kind in ("uniform", "normal", "choice") if getattr(self, kind) is not None]
         if len(kinds) != 1:
             raise ValueError(f"has {' and '.join(kinds) or 'none'} (allowed: one of uniform, normal, choice)")

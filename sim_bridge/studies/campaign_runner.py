@@ -8,7 +8,7 @@ import fcntl
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -123,6 +123,7 @@ class Journal:
         self._append(json.dumps(row).encode() + b"\n")
 
     def _append(self, data: bytes) -> None:
+        """Append a whole line to the journal, or nothing. Raises OSError."""
         size = os.fstat(self._file.fileno()).st_size
         try:
             if self._file.write(data) != len(data):
@@ -189,6 +190,7 @@ def _check_all(campaign: Campaign, stop: Stop) -> None:
 
 
 def _experiment(campaign: Campaign, flight: CampaignFlight) -> Experiment:
+    """The experiment of a flight. Raises ConfigError for one that cannot be flown so."""
     settings = [*flight.settings(campaign), f"seed={flight.seed}"]
     if campaign.camera:
         experiment = load_experiment(campaign.experiment, settings)
@@ -244,44 +246,60 @@ def _fly(
 ) -> Iterator[tuple[dict[str, Any], bool]]:
     """Rows as flights come back, each with True if it is new. Rows of `kept`, by hash, are not flown again. No more than
     `window` flights are prepared at a time. Flights under way when a stop is requested are lost."""
-    pending: dict[Future[dict[str, Any]], tuple[CampaignFlight, str]] = {}
-    hashes: set[str] = set()  # hashes of `kept` that have been met
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    shown_share = 0
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("flights", total=campaign.flights)
-        coming = flights(campaign)
-        flight = next(coming, None)
+    pending: dict[Future[dict[str, Any]], tuple[CampaignFlight, str]] = {}  # each with its experiment's hash
+    missing = set(kept)  # hashes of rows whose flight has not come yet
+    coming = flights(campaign)
+    flight = next(coming, None)
+    with _progress(campaign.flights, console) as advance:
         while (flight is not None or pending) and not stop.requested:
             while flight is not None and len(pending) < window and not stop.requested:
                 experiment = _experiment(campaign, flight)
-                row = kept.get(experiment.hash)  # flown as it is wanted now
+                row = kept.get(experiment.hash)
                 if row is not None:
-                    hashes.add(experiment.hash)
-                    progress.advance(task)
-                    yield {**row, "index": flight.index, "seed": flight.seed, **flight.values}, False
+                    missing.discard(experiment.hash)
+                    advance()
+                    yield {**row, **_named(flight)}, False
                 else:
                     pending[executor.submit(fly_one, experiment.model_dump_json())] = (flight, experiment.hash)
                 flight = next(coming, None)
-            futures, _ = wait(pending, timeout=LOOK_EVERY_S, return_when=FIRST_COMPLETED) if pending else ((), ())
-            share = TENTHS * round(progress.tasks[task].completed) // campaign.flights
-            if share > shown_share and not console.is_terminal:  # in a file or a pipe: a line each tenth
-                shown_share = share
-                console.print(f"{progress.tasks[task].completed:.0f} of {campaign.flights} flights", highlight=False)
-            for future in futures:
-                one, digest = pending.pop(future)
-                progress.advance(task)
-                named = {"index": one.index, "seed": one.seed, **one.values, "hash": digest, "commit": code().commit}
-                yield {**named, **future.result()}, True
+            finished, _ = wait(pending, timeout=LOOK_EVERY_S, return_when=FIRST_COMPLETED) if pending else ((), ())
+            for future in finished:
+                flown, digest = pending.pop(future)
+                advance()
+                yield {**_named(flown), "hash": digest, "commit": code().commit, **future.result()}, True
         for future in pending:
             future.cancel()
-    missing = set(kept) - hashes
     while flight is not None and missing:  # interrupted: what was flown before still belongs to the results
         row = kept.get(_experiment(campaign, flight).hash)
         if row is not None:
             missing.discard(row["hash"])
-            yield {**row, "index": flight.index, "seed": flight.seed, **flight.values}, False
+            yield {**row, **_named(flight)}, False
         flight = next(coming, None)
+
+
+def _named(flight: CampaignFlight) -> dict[str, Any]:
+    """The columns that say which flight of the campaign a row is."""
+    return {"index": flight.index, "seed": flight.seed, **flight.values}
+
+
+@contextmanager
+def _progress(total: int, console: Console) -> Iterator[Callable[[], None]]:
+    """Show how many flights are finished: a bar on a terminal, a line each tenth elsewhere. Yields the function to call after
+    each flight."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    finished = 0
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("flights", total=total)
+
+        def advance() -> None:
+            nonlocal finished
+            bar.advance(task)
+            has_new_tenth = TENTHS * finished // total < TENTHS * (finished + 1) // total
+            finished += 1
+            if has_new_tenth and not console.is_terminal:
+                console.print(f"{finished} of {total} flights", highlight=False)
+
+        yield advance
 
 
 def _table(campaign: Campaign, rows: Sequence[dict[str, Any]]) -> pa.Table:

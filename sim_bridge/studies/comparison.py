@@ -158,14 +158,16 @@ def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> li
 
 
 def _watched(flights: Sequence[Future[FlightRecord]], console: Console) -> list[FlightRecord | BaseException]:
-    """The flights in their order, or what ended them, with a progress bar."""
+    """The flights in their order, or what ended them, with a progress bar. Ctrl-C ends those that have not begun."""
     columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         try:
-            return [flight.exception() or flight.result() for flight in progress.track(flights)]
-        finally:  # interrupted: what has not begun is not flown
+            for flight in progress.track(flights):
+                flight.exception()
+        except KeyboardInterrupt:
             for flight in flights:
                 flight.cancel()
+        return [KeyboardInterrupt() if f.cancelled() else f.exception() or f.result() for f in flights]
 
 
 def _whole_seeds(flights: Sequence[FlightRecord | BaseException], variants: int) -> list[list[FlightRecord]]:

@@ -96,12 +96,11 @@ def dependences(campaign: Campaign, rows: Sequence[Row]) -> dict[str, list[KeyVa
 def reasons(rows: Sequence[Row]) -> list[tuple[int, str]]:
     """Numbers of flights that did not pass, by reason, the most frequent first."""
     failed = [row for row in rows if row["status"] != "flown" or not row.get("passed")]
-    each = Counter(
-        reason
-        for row in failed
-        for reason in ([row["reason"]] if row["status"] != "flown" else dict.fromkeys(row["reason"].split("; ")))
-    )
-    return [(count, reason) for reason, count in each.most_common()]
+    counts = Counter[str]()
+    for row in failed:  # a flight that was flown may have several reasons, each of which counts once
+        row_reasons = row["reason"].split("; ") if row["status"] == "flown" else [row["reason"]]
+        counts.update(dict.fromkeys(row_reasons, 1))
+    return [(count, reason) for reason, count in counts.most_common()]
 
 
 def lines(rows: Sequence[Row], by_key: Mapping[str, Sequence[KeyValue]]) -> Iterator[str]:

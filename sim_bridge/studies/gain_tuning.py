@@ -28,6 +28,7 @@ SCENES: dict[str, tuple[float, tuple[str, ...]]] = {  # scatter of the starts, s
     "pool": (0.1, (*NOISE, "sim.plant.step_s=0.025")),
 }
 DURATION_S = 28.0
+INTERRUPTED = "it was interrupted"
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class TuningResult:
     first: float
     best: float
     section: dict[str, Any]  # of the experiment file
+    trials: int
+    cut_short: str = ""  # what ended the search before its budget was spent
 
     def toml(self) -> str:
         """The gains as a section of an experiment file."""
@@ -53,7 +56,8 @@ def run(
     jobs: int,
     console: Console,
 ) -> Iterator[TuningResult]:
-    """Tune one law after another."""
+    """Tune one law after another. What ends a search, Ctrl-C too, takes no trial with it that was flown: they may be hours.
+    Raises what ended one that had flown none."""
     unknown = [scene for scene in scenes if scene not in SCENES]
     if unknown:
         raise ConfigError(f"scene {unknown[0]!r}: nothing is known of its scatter (allowed: {', '.join(SCENES)})")
@@ -61,9 +65,12 @@ def run(
     for scene in scenes:
         scatter, own = SCENES[scene]
         tasks += tasks_of(load_experiment(scene, [f"duration_s={DURATION_S}", *own, *settings, NO_CAMERA]), seeds, scatter)
-    with worker_pool(jobs) as pool:
-        for law in laws:
-            yield _tune(law, tasks, budget, pool, console)
+    for law in laws:
+        with worker_pool(jobs) as pool:  # of its own: one whose process died flies no more
+            tuned = _tune(law, tasks, budget, pool, console)
+        yield tuned
+        if tuned.cut_short == INTERRUPTED:
+            return
 
 
 def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolExecutor, console: Console) -> TuningResult:
@@ -71,18 +78,24 @@ def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolE
     first: FeedbackLawConfig = getattr(tasks[0].experiment.controller, law.replace("-", "_"))
 
     def flown(generation: Sequence[Array]) -> list[float]:
+        """The cost of each set of gains of a generation, flown in all tasks."""
         sections = [with_gains(first, gains) for gains in generation]
         changed = [replace(t, experiment=_under(t.experiment, law, s), with_traces=False) for s in sections for t in tasks]
-        figures = iter([flight.figures for flight in pool.map(fly, changed)])
-        return [cost([next(figures) for _ in tasks]) for _ in generation]
+        figures = [flight.figures for flight in pool.map(fly, changed)]  # of a set of gains one after the other
+        return [cost(figures[k : k + len(tasks)]) for k in range(0, len(figures), len(tasks))]
 
-    trials: list[Trial] = []
-    for trial in search(np.array(values(first)), budget, seed=1, fly=flown):
-        best = min([*trials, trial], key=lambda t: t.cost)
-        if best is trial:
-            console.print(f"{law}, trial {len(trials) + 1} of {budget}: cost {trial.cost:.3f}", soft_wrap=True)
-        trials.append(trial)
-    return TuningResult(law, trials[0].cost, best.cost, with_gains(first, best.gains).model_dump())
+    trials, cut_short = list[Trial](), ""
+    try:
+        for trial in search(np.array(values(first)), budget, seed=1, fly=flown):
+            trials.append(trial)
+            best = min(trials, key=lambda t: t.cost)
+            if best is trial:
+                console.print(f"{law}, trial {len(trials)} of {budget}: cost {trial.cost:.3f}", soft_wrap=True)
+    except (Exception, KeyboardInterrupt) as error:
+        if not trials:
+            raise
+        cut_short = INTERRUPTED if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
+    return TuningResult(law, trials[0].cost, best.cost, with_gains(first, best.gains).model_dump(), len(trials), cut_short)
 
 
 def values(section: FeedbackLawConfig) -> list[float]:

@@ -87,6 +87,7 @@ def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Seque
 
 
 def _facts(campaign: Campaign, rows: Sequence[Row], flown: Sequence[Row], wanted: int) -> list[tuple[str, str]]:
+    """Facts at the head of the report, as name and text."""
     facts = [
         ("flights n", f"{len(rows)} of {wanted}"),
         ("refused or failed", str(len(rows) - len(flown))),
@@ -100,7 +101,8 @@ def _facts(campaign: Campaign, rows: Sequence[Row], flown: Sequence[Row], wanted
 
 
 def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str, list[tuple[float, float]]]]:
-    """Pairs of a drawn number and the measure; of a drawn list for each component that varies."""
+    """Scatters of a measure over a key that is drawn at random, each as name and pairs (drawn number, measure): one for a
+    number, one for each component of a list that varies; none for texts."""
     drawn = [(row[key], row[measure]) for row in flown if row.get(measure) is not None]
     if not drawn or not all(np.asarray(value).dtype.kind in "if" for value, _ in drawn):
         return []
@@ -121,6 +123,7 @@ def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> li
 
 
 def _panel(key: str, lines: Sequence[KeyValue], places: Sequence[float], measure: str, width_in: float) -> Figure:
+    """A measure over the values of one key: a dot for each flight, and the mean with its interval."""
     figure = Figure(figsize=(width_in, TALL_IN))
     axes = figure.subplots()
     for x, line in zip(places, lines, strict=True):
@@ -163,6 +166,7 @@ def _number(text: str) -> float | None:
 
 
 def _histogram(numbers: Sequence[float], measure: str, width_in: float) -> Figure:
+    """A measure's distribution over the flights, with its median."""
     figure = Figure(figsize=(width_in, TALL_IN))
     axes = figure.subplots()
     shown = unit_of(measure)[1] * np.asarray(numbers)
@@ -188,6 +192,7 @@ def _svg(draw: Callable[[float], Figure]) -> Markup:
 
 
 def _outlined(figure: Figure) -> str:
+    """A figure as SVG, in which text stays text."""
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
     for label in figure.findobj(Text):

@@ -308,6 +308,7 @@ def _given(value: float) -> float:
 
 
 def _command(message: Any) -> Event:
+    """The event of a MAVLink command; Unsupported for one that this board does not have."""
     force = _given(message.param2)
     if message.command == dialect.MAV_CMD_COMPONENT_ARM_DISARM and message.param1 in (0.0, 1.0) and force == 0.0:
         return Arm(message.param1 == 1.0)
@@ -349,6 +350,7 @@ _READERS: dict[str, Callable[[Any], Event]] = {
 
 
 def _motion(message: Any) -> SimulatedMotion:
+    """The motion that a simulator sends in HIL_SENSOR. Raises Refused for values that cannot be."""
     if message.fields_updated & HIL_FIELDS != HIL_FIELDS:
         raise Refused
     x, y, z = (within(value, -300.0, 300.0) for value in (message.xacc, message.yacc, message.zacc))

@@ -35,6 +35,7 @@ def boards_in(folder: Path) -> BoardFactory:
 
 
 def _read(memory: Path) -> NonvolatileState:
+    """The state that a board has kept in its file; a new board's if there is none. Raises ConfigError."""
     if not memory.exists():
         return NonvolatileState()
     try:

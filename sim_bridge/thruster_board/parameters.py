@@ -143,15 +143,19 @@ class Parameters:
 
     def is_consistent(self) -> bool:
         """True if the values fit one another."""
-        points = self.curve
-        rising = all(a[0] < b[0] and a[1] <= b[1] for a, b in pairwise(points))
-        low, high = self.thruster_us
-        pushes = points[0][1] < 0.0 < points[-1][1]
-        within = points[0][0] <= low < self.neutral_us < high <= points[-1][0]
-        battery = self["BAT_WARN_V"] > self["BAT_NOARM_V"] > self["BAT_NEUTRAL_V"]
-        ankles = self.ankle_us[0] < self.ankle_us[1]
-        outputs = self["HIL_OUTPUTS"] <= self["HIL_MODE"]
-        return rising and pushes and within and self._has_safe_neutral() and battery and ankles and outputs
+        curve_us, curve_n = zip(*self.curve, strict=True)
+        lowest_us, highest_us = self.thruster_us
+        least_ankle_us, most_ankle_us = self.ankle_us
+        return (
+            all(before < after for before, after in pairwise(curve_us))
+            and all(before <= after for before, after in pairwise(curve_n))
+            and curve_n[0] < 0.0 < curve_n[-1]
+            and curve_us[0] <= lowest_us < self.neutral_us < highest_us <= curve_us[-1]
+            and self._has_safe_neutral()
+            and self["BAT_WARN_V"] > self["BAT_NOARM_V"] > self["BAT_NEUTRAL_V"]
+            and least_ankle_us < most_ankle_us
+            and self["HIL_OUTPUTS"] <= self["HIL_MODE"]
+        )
 
     def _has_safe_neutral(self) -> bool:
         """True if no thruster of the vehicle for which the firmware was built pushes at neutral, by the present curve and by

@@ -66,9 +66,9 @@ class ZeroEvent(Enum):
 class _Purpose(Enum):
     """Use of the pressures that come."""
 
-    JUDGE = 0
-    TAKE = 1
-    DONE = 2
+    JUDGE = 0  # after a start: is the kept surface pressure still right?
+    TAKE = 1  # a person asked for a new surface pressure
+    DONE = 2  # none: the surface pressure stays
 
 
 class SensorZero:
@@ -104,28 +104,32 @@ class SensorZero:
         return self.start.causes | restarted | (ZERO_IN_QUESTION if self.is_in_question else 0)
 
     def take_pressure(self, pressure_hpa: float) -> ZeroEvent:
-        """Take a measurement."""
+        """Take in a pressure. The mean of the first SURFACE_SAMPLES decides once: it becomes the new surface pressure after a
+        power-on in air (the gyro's bias is then measured too) and when a person asked for it; after any other start the kept
+        surface pressure stays, and is in question where the mean is far from it."""
         if self._purpose is _Purpose.DONE or not math.isfinite(pressure_hpa):
             return ZeroEvent.SAME
         self._pressures.append(pressure_hpa)
         if len(self._pressures) < SURFACE_SAMPLES:
             return ZeroEvent.SAME
         mean_hpa = sum(self._pressures) / SURFACE_SAMPLES
-        judges, self._purpose = self._purpose is _Purpose.JUDGE, _Purpose.DONE
-        if judges and not (self.start.is_power_on and self._is_in_air(mean_hpa)):
-            self.is_restarted = True
-            self.is_in_question = self.surface_hpa is None or abs(mean_hpa - self.surface_hpa) > AIR_HPA
-            return ZeroEvent.QUESTIONED if self.is_in_question else ZeroEvent.SAME
-        if judges:
+        is_start = self._purpose is _Purpose.JUDGE
+        self._purpose = _Purpose.DONE
+        if is_start:
+            if not (self.start.is_power_on and self._is_in_air(mean_hpa)):
+                self.is_restarted = True
+                self.is_in_question = self.surface_hpa is None or abs(mean_hpa - self.surface_hpa) > AIR_HPA
+                return ZeroEvent.QUESTIONED if self.is_in_question else ZeroEvent.SAME
             self._rates = []
-        self.surface_hpa, self.is_in_question = mean_hpa, False
+        self.surface_hpa = mean_hpa
+        self.is_in_question = False
         return ZeroEvent.TAKEN
 
     def _is_in_air(self, pressure_hpa: float) -> bool:
         return pressure_hpa <= (AIR_MOST_HPA if self.surface_hpa is None else self.surface_hpa + AIR_HPA)
 
     def take_rate(self, rate_radps: float) -> ZeroEvent:
-        """Take a measurement of the gyro, with its bias."""
+        """Take in a yaw rate of the gyro. The mean of STILL_SAMPLES in a row that differ little becomes its bias."""
         if self._rates is None or not math.isfinite(rate_radps):
             return ZeroEvent.SAME
         if self._rates and abs(rate_radps - self._rates[0]) > MOVES_RADPS:

@@ -82,6 +82,7 @@ class BoardStateMachine:
         self._command, self._command_ns = pulses_us, now_ns
 
     def _is_allowed(self, pulses_us: tuple[int, ...]) -> bool:
+        """True for an override of which every pulse is within its limits."""
         (slowest, fastest), (lowest, highest) = self.parameters.thruster_us, self.parameters.ankle_us
         thrusters = self.parameters.thrusters
         return (
@@ -107,6 +108,7 @@ class BoardStateMachine:
         return ACCEPTED
 
     def _arming_refusal(self, now_ns: int) -> str:
+        """The reason why the board cannot be armed, or ""."""
         still_low, still_high = self.parameters.dead_zone_us
         if self._is_stale(now_ns):
             return "no override is arriving"
@@ -138,18 +140,19 @@ class BoardStateMachine:
         return ""
 
     def battery(self, voltage: float, elapsed_s: float) -> None:
-        """Take a voltage, `elapsed_s` after the one before. A level is entered below its threshold, and left well above
-        it."""
+        """Take in a voltage, `elapsed_s` after the one before, through a low-pass filter. A level is entered below its
+        threshold, and left well above it."""
         voltage = voltage if math.isfinite(voltage) else 0.0
         before = voltage if self._voltage is None else self._voltage
         smooth = self._voltage = before + (voltage - before) * -math.expm1(-elapsed_s / BATTERY_FILTER_S)
         thresholds, hysteresis = self.parameters.thresholds_v, self.parameters["BAT_HYST_V"]
-        below = sum(smooth < threshold for threshold in thresholds)
-        not_clear = sum(smooth < threshold + hysteresis for threshold in thresholds)
-        was, self.charge = self.charge, Charge(min(max(self.charge, below), not_clear))
-        if self.charge is was:
+        entered = sum(smooth < threshold for threshold in thresholds)
+        not_left = sum(smooth < threshold + hysteresis for threshold in thresholds)
+        charge_before = self.charge
+        self.charge = Charge(min(max(self.charge, entered), not_left))
+        if self.charge is charge_before:
             return
-        severity = CRITICAL if self.charge is Charge.NEUTRAL else WARNING if self.charge > was else INFO
+        severity = CRITICAL if self.charge is Charge.NEUTRAL else WARNING if self.charge > charge_before else INFO
         self.texts.append(StatusText(severity, f"battery {self.charge.name}: {voltage:.1f} V"))
         if self.charge is Charge.NEUTRAL and self.armed:
             self._disarm(CRITICAL, "disarmed: battery empty")

@@ -8,6 +8,8 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import cv2
+import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect
@@ -18,10 +20,11 @@ from shoal.messages import topics
 from shoal.messages.messages import (
     CommandKind,
     Event,
+    Preview,
     RobotState,
 )
 from sim_bridge.sil.ports import free_port
-from tests.page.elements import button, tile
+from tests.page.elements import button
 from tests.page.flights import PATIENCE_MS, wait_for_port
 from tests.page.lone_station import lone_station
 
@@ -99,8 +102,10 @@ def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) ->
         expect(button(page, "You have control")).to_be_visible()
 
 
-def test_a_delay_of_the_line_counts_as_age(browser: Browser) -> None:
-    """The robot speaks all the time; from its second second on, every message takes 0.7 s from the station to the page."""
+@pytest.mark.parametrize("of", [".tile[data-robot='1'] .age", ".picture-age"])
+def test_a_delay_of_the_line_counts_as_age(browser: Browser, of: str) -> None:
+    """Robot and camera speak all the time; from the second second on, every message takes 0.7 s to the page."""
+    jpeg = cv2.imencode(".jpg", np.zeros((48, 64, 3), dtype=np.uint8))[1].tobytes()
     with lone_station(browser, load_experiment("pool")) as desk:
         page, slow_s = desk.page, [0.0]
         on_the_way: list[tuple[float, str | bytes]] = []
@@ -116,10 +121,11 @@ def test_a_delay_of_the_line_counts_as_age(browser: Browser) -> None:
             shown, end_s = [], time.monotonic() + for_s
             while time.monotonic() < end_s:
                 desk.robots.publish(topics.STATE, RobotState(), time.time_ns(), 1)
+                desk.robots.publish(topics.PREVIEW, Preview(jpeg), time.time_ns())
                 page.wait_for_timeout(20)
                 while on_the_way and on_the_way[0][0] <= time.monotonic():
                     lines[-1].send(on_the_way.pop(0)[1])
-                texts = tile(page, 1).locator(".age").all_text_contents()  # none before the page is ready
+                texts = page.locator(of).all_text_contents()  # none before the page is ready
                 if match := re.search(r"([0-9.]+) (m?s)", "".join(texts)):
                     shown.append(float(match[1]) * (1e-3 if match[2] == "ms" else 1.0))
             return shown

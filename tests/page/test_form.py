@@ -75,6 +75,16 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     assert desk.orders == [CommandKind.FORMATION] and desk.text == "line 1.1"
 
 
+def test_a_request_that_the_station_would_refuse_is_not_offered_and_says_why(desk: LoneStation) -> None:
+    page, why = desk.page, "the path is a circle: it cannot be left for other places under way"
+    expect(button(page, "Go to…")).to_be_enabled()
+    desk.own_status = Status(state=MissionState.RUNNING, refused={CommandKind.GO: why, CommandKind.REJOIN: "no robot is out"})
+    for name, reason in (("Go to…", why), ("Rejoin", "no robot is out")):
+        expect(button(page, name)).to_be_disabled()
+        expect(button(page, name)).to_have_attribute("title", reason)
+    expect(button(page, "Formation…")).to_be_enabled()
+
+
 def test_a_hold_makes_the_plan_another_one(desk: LoneStation, experiment: Experiment) -> None:
     def plan(order: CommandKind, text: str) -> PlanSegment:
         if desk.own_status.state is MissionState.PAUSED:
@@ -161,6 +171,11 @@ def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, 
     panel.get_by_role("button", name="Hold these 2").click()
     expect(page.locator(".given li")).to_have_count(2)
     assert desk.orders == [CommandKind.HOLD, CommandKind.HOLD] and sorted(desk.robots_asked) == sorted([one, two])
+    for robot in experiment.robot_ids[2:]:
+        tile(page, robot).get_by_role("button").click(modifiers=["Shift"])
+    page.get_by_role("button", name="Disarm these").click()  # one by one the last would be refused, and fly on
+    expect(page.locator(".given li")).to_have_count(3)
+    assert (desk.orders[-1], desk.robots_asked[-1]) == (CommandKind.DISARM, 0)
 
 
 def test_time_is_that_of_the_flight_and_negative_before_it(desk: LoneStation) -> None:
@@ -189,6 +204,30 @@ def test_no_order_changes_its_place_when_others_become_possible(desk: LoneStatio
     expect(button(desk.page, "Resume")).to_be_enabled()
     paused = places()
     assert np.all([running == paused, None not in running])
+
+
+def test_no_button_moves_when_something_is_told(desk: LoneStation, experiment: Experiment) -> None:
+    page, robot = desk.page, experiment.robot_ids[0]
+    desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), desk.clock.now_ns(), robot)
+    tile(page, robot).get_by_role("button").click()
+    names = ("Hold", "Disarm", "Rejoin", "End run", f"Hold {robot}", f"Disarm {robot}", f"Send {robot} to…")
+
+    def places() -> list[object]:
+        return [button(page, name).bounding_box() for name in names]
+
+    expect(button(page, names[-1])).to_be_visible()
+    before, lasting = places(), {"a": "a first alarm", "b": "a second alarm"}
+    desk.own_status = Status(state=MissionState.PAUSED, reason="no way round it", lasting=lasting)
+    for text in lasting.values():
+        expect(page.locator(".alarms li", has_text=text)).to_be_attached()
+    expect(page.get_by_text("no way round it")).to_be_visible()
+    desk.own_status = Status(state=MissionState.WAITING)
+    expect(page.get_by_text(re.compile("^Preflight: "))).to_be_visible()
+    assert places() == before and None not in before
+    desk.own_status = Status(state=MissionState.RUNNING)
+    button(page, "Hold").click()
+    expect(page.locator(".given li")).to_have_count(1)
+    assert places() == before
 
 
 def test_each_thruster_of_a_vehicle_can_be_broken(browser: Browser) -> None:

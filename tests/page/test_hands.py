@@ -1,14 +1,16 @@
 """Hands on the page: no stuck key, Caps Lock, lost pointer or open question acts for a person, and what nobody holds ends."""
 
+import math
 import re
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 
 from groundstation.mission.state_machine import MissionState
+from groundstation.telemetry import RobotView
 from groundstation.web.backend import Status
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
@@ -180,6 +182,40 @@ def test_a_robot_that_is_not_heard_is_not_called_stopped(desk: LoneStation) -> N
         if k == 10:
             expect(page.get_by_role("button", name="STOPPED Shift+Space")).to_be_visible()
     expect(page.get_by_role("button", name="STOPPED, 1 NOT HEARD Shift+Space")).to_be_visible()
+
+
+def test_a_stop_that_nobody_hears_is_said_so_whatever_is_asked_for_after_it(browser: Browser) -> None:
+    """Only the stop is lost on its way: states go on to come, and other orders are answered."""
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+
+        def between(line: WebSocketRoute) -> None:
+            station = line.connect_to_server()
+            line.on_message(lambda message: None if '"stop"' in str(message) else station.send(message))
+
+        page.route_web_socket("**/live", between)
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        page.keyboard.press("Shift+Space")
+        expect(page.get_by_role("button", name="STOP NOT HEARD")).to_be_visible()
+        for _ in range(10):
+            page.keyboard.press("Shift+A")
+        while len(desk.orders) < 10:
+            page.wait_for_timeout(50)
+        page.wait_for_timeout(500)
+        expect(page.get_by_role("button", name="STOP NOT HEARD")).to_be_visible()
+        expect(page.get_by_role("alert").filter(has_text="Emergency stop not heard")).to_be_visible()
+
+
+def test_a_robot_that_is_out_of_the_water_keeps_nobody_waiting(desk: LoneStation) -> None:
+    page = desk.page
+    expect(page.get_by_text("Preflight: 0 of 2 ready")).to_be_visible()
+    desk.own_status = replace(desk.own_status, views={2: RobotView(None, math.inf, out=True)})
+    expect(page.get_by_text("Preflight: 0 of 1 ready")).to_be_visible()
+    expect(page.locator(".preflight")).not_to_contain_text("2")
+    desk.own_status = replace(desk.own_status, state=MissionState.STOPPED)
+    expect(page.get_by_role("button", name="Clear stop (1 not confirmed)")).to_be_visible()
+    expect(page.get_by_role("alert")).not_to_contain_text("robot 2")
 
 
 def test_an_alarm_that_cannot_sound_yet_says_so(desk: LoneStation) -> None:

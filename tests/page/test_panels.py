@@ -61,7 +61,7 @@ def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
 def test_a_note_about_many_robots_stands_there_once(browser: Browser) -> None:
     with lone_station(browser, load_experiment("fleet-20")) as desk:
         page = desk.page
-        desk.preflight = tuple(Finding(robot, "gone", "critical", True, "not heard", "") for robot in (1, 2, 5, 6, 7, 8))
+        desk.preflight = tuple(Finding(robot, "gone", "critical", "not heard", "", True) for robot in (1, 2, 5, 6, 7, 8))
         page.goto(desk.url)
         expect(page.locator(".preflight li")).to_have_text(
             [re.compile("robots 1, 2, 5 to 8 not heard"), re.compile("robots 3, 4, 9 to 20 ready")]

@@ -121,7 +121,7 @@ def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
 
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as desk:
-        untested = Finding(1, "thrusters", "notice", True, "thruster test: not done", "groundstation mission test")
+        untested = Finding(1, "thrusters", "notice", "thruster test: not done", "groundstation mission test", True)
         desk.preflight = (untested,)
         desk.page.goto(desk.url)
         expect(desk.page.locator(".preflight")).to_contain_text("thruster test: not done")

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import psutil
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 from localizer.detection.image_regions import Pixels
 from shoal.config.experiment import load_experiment
@@ -273,6 +273,65 @@ def test_the_fleet_is_stopped_from_this_page_too_by_key_and_by_pointer(
         for shown in (page.get_by_role("button", name="EMERGENCY STOP"), page.locator(".stop-said")):
             expect(shown).to_be_in_viewport(ratio=1.0)
         page.get_by_role("button", name="Find markers").click()  # it lies under nothing
+    page.context.close()
+
+
+def test_a_stop_that_gets_no_answer_is_said_so_and_is_given_again(
+    browser: Browser, program: tuple[psutil.Popen, str], traffic: PageTraffic
+) -> None:
+    """The way to the program is dead, and nobody has said so to the browser."""
+    page, requests = _open(browser, program[1], traffic), list[Route]()
+    page.route("**/do", lambda route: requests.append(route))  # Playwright writes into what it is given
+    page.keyboard.press("Shift+Space")
+    expect(page.locator(".stop-said")).to_have_text("emergency stop: asked")
+    expect(page.locator(".stop-said")).to_contain_text("no answer, press again, or run groundstation stop")
+    page.keyboard.press("Shift+Space")
+    expect(page.locator(".stop-said")).to_have_text("emergency stop: asked")
+    assert len(requests) == 2
+    page.context.close()
+
+
+def test_a_save_that_failed_is_told_until_the_next_request(
+    browser: Browser, program: tuple[psutil.Popen, str], lab: Path, traffic: PageTraffic
+) -> None:
+    """The difference, which the page asks for by itself after it, takes no word of it back."""
+    address, key = program[1].split("#key=")
+    page, problem = _open(browser, program[1], traffic), "was changed by somebody else"
+    change = {"do": "mask", "corners_px": [[11.5, 12.5], [20.0, 10.0], [10.0, 20.0]]}
+    assert page.request.post(f"{address}do", data=change, headers={"x-key": key}).json()["problem"] == ""
+    _step(page, "Save")
+    expect(page.locator(".difference")).to_contain_text("11.5")
+    lab.write_text(lab.read_text(encoding="utf-8") + "# by somebody else\n", encoding="utf-8")
+    with page.expect_response(lambda answer: "difference" in (answer.request.post_data or "")):
+        page.get_by_role("button", name="Save", exact=True).click()
+    for _ in range(3):
+        with page.expect_response("**/state*"):
+            pass
+    expect(page.locator(".problem")).to_contain_text(problem)
+    _button(page, "Read the file again")
+    expect(page.get_by_text(problem)).to_have_count(0)
+    page.context.close()
+
+
+def test_a_picture_that_does_not_come_is_told_and_asked_for_again(browser: Browser, program: tuple[psutil.Popen, str]) -> None:
+    """A browser goes on showing the last picture of a stream that has ended, and says nothing."""
+    page, requests = browser.new_context().new_page(), list[Route]()
+    page.set_default_timeout(PATIENCE_MS)
+
+    def stream(route: Route) -> None:
+        requests.append(route)
+        route.abort() if len(requests) == 1 else route.continue_()
+
+    page.route("**/live*", stream)
+    page.goto(program[1])
+    expect(page.locator(".trouble")).to_contain_text("not live")
+    expect(page.locator(".trouble")).not_to_contain_text("not live")
+    assert len(requests) == 2
+    page.route("**/state*", lambda route: route.abort())
+    expect(page.locator(".trouble")).to_have_text("no answer")
+    page.unroute("**/state*")
+    expect(page.locator(".trouble")).not_to_have_text("no answer")
+    assert len(requests) == 3  # the way was dead: the stream that went over it, too
     page.context.close()
 
 

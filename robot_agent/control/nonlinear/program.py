@@ -284,7 +284,8 @@ def set_bounds(grid: Grid, problem: PlanProblem, memory: Memory) -> None:
 
 @kernel
 def take_change(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory, before: float, rounds: int) -> Iteration:
-    """The flight after the program's change, or after so much of it that its cost does not grow; `before` is that cost."""
+    """Line search: add the program's change to the commands, or the first share of it, from all down by SHORTER, that does not
+    raise the cost above `before`; no change if there is none. `memory.flight` holds the result."""
     flight, program, axes = memory.flight, memory.program, len(grid.axes)
     program.old[:] = flight.command
     share, after = 1.0, before

@@ -10,7 +10,7 @@ from groundstation.analysis.numbers import mm
 from groundstation.analysis.results import Check, Result
 from groundstation.report import terminal
 from groundstation.report.report import write_report
-from groundstation.station.process import INTERRUPTED
+from groundstation.station.process import INTERRUPTED, TERMINATED
 from groundstation.web.run_desk import run_end
 from shoal.messages.messages import Mode
 from tests.groundstation.synthetic import Script, write_run
@@ -101,6 +101,37 @@ def test_a_process_that_stood_still_is_the_cause_of_what_others_and_it_itself_no
         assert cause.time_s == pytest.approx(2.0, abs=0.06)
     else:
         assert (cause.noticed_by, cause.text) == ("robot 1", f"fault: {fault}")
+
+
+LED = "mission: running without a robot: robot 2: led by a person"
+
+
+@pytest.mark.parametrize(
+    ("lines", "noticed_by", "text"),
+    [
+        (((2.0, LED), (5.0, TERMINATED)), "groundstation", TERMINATED),
+        (((2.0, "mission: holding: no way round"), (3.0, "mission: running"), (5.0, TERMINATED)), "groundstation", TERMINATED),
+        (((2.0, LED),), "the report", None),  # killed: the flight went on until then
+        (((2.0, LED), (5.0, "mission: holding: no way round")), "groundstation", "holding: no way round"),
+    ],
+    ids=["told to end", "after a hold", "killed", "held"],
+)
+def test_a_reason_before_the_flight_went_on_is_not_the_cause_of_its_end(
+    tmp_path: Path, lines: tuple[tuple[float, str], ...], noticed_by: str, text: str | None
+) -> None:
+    result = judged(tmp_path, Script(duration_s=FLOWN_S, lines=lines, until_s=6.0))
+    assert result.cause is not None and result.verdict == "failed"
+    assert result.cause.noticed_by == noticed_by and "led by a person" not in result.cause.text
+    assert text is None or result.cause.text == text
+
+
+def test_of_a_flight_that_came_to_its_end_without_a_robot_the_cause_is_who_led_it_and_not_who_ended_the_run_then(
+    tmp_path: Path,
+) -> None:
+    lines = ((2.0, LED), (6.0, "mission: done"), (7.0, "END asked for"))
+    result = judged(tmp_path, Script(duration_s=FLOWN_S, lines=lines, until_s=7.5))
+    assert result.cause is not None and result.verdict == "not judged"
+    assert result.cause.sentence.startswith("A person led robot 2 alone at 2.0 s")
 
 
 def test_faults_after_a_stop_are_not_its_cause(tmp_path: Path) -> None:

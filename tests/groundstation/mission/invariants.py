@@ -266,7 +266,7 @@ class Invariants:
         for robot in self.pool.robots.values():
             if robot.alive and robot.mode in (Mode.TRACKING, Mode.HOLDING) and self.flies(robot, mission.segment):
                 self.flown_s = max(self.flown_s, robot.clock.reached_s)
-        if plans.progress_s == 0.0:
+        if plans.progress_s == 0.0 and mission.state not in JOINING | IN_FLIGHT | {MissionState.PAUSED}:  # a new plan
             self.progress_s = self.flown_s = 0.0
         if mission.state in IN_FLIGHT | {MissionState.PAUSED}:
             leap_s = plans.progress_s - self.progress_s

@@ -28,7 +28,11 @@ class RunRecord:
         self._whole = False  # the last run went all its way, with every robot
         self._lost = False
         self._along_s = 0.0  # time of the last flight with a robot on the formation's way, the way home left out
-        self._begins, self._is_along = True, False  # another flight; in this cycle
+        self._begins, self._is_along, self._is_heard = (
+            True,
+            False,
+            False,
+        )  # another flight; in this cycle; and the log knows it
         fleet.on_state, fleet.on_beat = self.take_state, self.take_cycle
 
     def take_state(self, robot: int, state: RobotState, arrives: bool) -> None:
@@ -40,7 +44,9 @@ class RunRecord:
         if state.mode is Mode.TRACKING and plans.include(state.trajectory_id):
             away_m = float(np.linalg.norm(required(state.estimate).eta[:3] - required(state.control).eta_reference[:3]))
             self._largest_m[robot] = max(self._largest_m[robot], away_m)
-            self._is_along |= not mission.segment.is_return
+            is_along = state.trajectory_s > 0.0 and not mission.segment.is_return
+            self._is_along |= is_along
+            self._is_heard |= is_along and arrives
 
     def take_cycle(self, beat: StationHeartbeat) -> None:
         """Take what the station publishes in a cycle."""
@@ -57,10 +63,10 @@ class RunRecord:
         if mission.state is MissionState.STARTING:
             self._whole = self._lost = False
             self._begins = True
-        if self._begins and self._is_along:
+        if self._begins and self._is_heard:
             self._along_s, self._begins = 0.0, False
         self._along_s += self._is_along * STEP_NS * 1e-9
-        self._is_along = False
+        self._is_along = self._is_heard = False
         self._lost = self._lost or (mission.state in COMMITTED and bool(mission.roster.lost))
         if mission.state is MissionState.DONE and mission.verdict is MissionState.DONE and not mission.segment.is_return:
             self._whole = not self._lost

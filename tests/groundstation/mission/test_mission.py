@@ -1,12 +1,13 @@
 """The mission against a fleet of simple obedient (or not) robots, with time as an argument."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from groundstation.mission.mission import ATTENDED, PATIENCE_S, STAGES, TEST_PATIENCE_S
+from groundstation.mission.mission import ATTENDED, PATIENCE_S, STAGES, TEST_PATIENCE_S, Mission
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.roster import Leader
 from groundstation.mission.state_machine import IN_FLIGHT, TERMINAL, MissionState
@@ -68,6 +69,20 @@ def test_a_failed_preflight_names_robot_and_reason_and_arms_no_robot(change: dic
     assert "robot 2" in run.mission.reason
     assert says in run.mission.reason
     assert run.robots[1].got == []
+
+
+def test_a_refusal_is_told_before_the_request_with_the_same_reason() -> None:
+    run = MissionRun(settings=["duration_s=60"])
+    while run.mission.state is not MissionState.RUNNING:
+        run.step()
+    refusals = run.mission.refusals(run.fleet())
+    assert set(refusals) == {CommandKind.GO, CommandKind.REJOIN}, "on a circle, with all robots in their places"
+    for order, reason in refusals.items():
+        assert run.mission.request(order, run.fleet(), run.now_ns, via=[(0.1, 0.1)]) == reason
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    assert CommandKind.RESUME in run.mission.refusals(run.fleet()), "nobody holds yet"
+    run.step(0.2)
+    assert set(run.mission.refusals(run.fleet())) == {CommandKind.REJOIN}
 
 
 def test_another_experiment_on_a_robot_is_refused() -> None:
@@ -139,6 +154,80 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(4.0)
     assert run.at(MissionState.DONE)
+
+
+@pytest.mark.parametrize(("settings", "turns"), [([], True), (["vehicle=vectored"], False)])
+def test_a_formation_goes_on_when_its_robots_have_had_the_time_to_turn_to_their_paths(
+    settings: list[str], turns: bool
+) -> None:
+    """Headings are free in HOLD. A robot with side thrust sets out at any heading."""
+    waits_s = []
+    for heading_rad in (0.0, 1.0, -3.0, 6.28):
+        run = MissionRun(settings=["duration_s=60", *settings])
+        for robot in run.robots.values():
+            robot.battery_v = run.experiment.vehicle.battery.full_v
+        while run.mission.state is not MissionState.RUNNING:
+            run.step()
+        assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
+        run.step(1.0)
+        run.robots[2].eta = (0.0, 0.0, 0.0, heading_rad)
+        assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+        run.step(0.5)
+        resumes = [robot.got[-1] for robot in run.robots.values()]
+        assert {command.order for command in resumes} == {CommandKind.RESUME} and len({c.start_ns for c in resumes}) == 1
+        waits_s.append((resumes[0].start_ns - run.now_ns) * 1e-9)
+    least_s, some_s, most_s, whole_turn_s = waits_s
+    assert whole_turn_s == pytest.approx(least_s, abs=0.1)
+    limits, inertia = run.experiment.vehicle.limits, run.experiment.vehicle.mass.yaw_kg_m2
+    by_moment_s, by_rate_s = 2.0 * math.sqrt(3.0 * inertia / limits.wrench[2]), 3.0 / limits.yaw_rate_radps
+    if turns:
+        assert least_s < some_s < most_s and max(by_moment_s, by_rate_s) < most_s - least_s < 1.01 * (by_moment_s + by_rate_s)
+    else:
+        assert some_s == most_s == least_s
+
+
+def paused_beyond(settings: Sequence[str] = (), beyond_m: float = 0.06) -> MissionRun:
+    """A mission whose robots, on a straight path at 0.1 m/s, came to rest beyond the point at which they were told to hold."""
+    run = MissionRun(automatic=False, settings=["duration_s=60", *settings])
+    time_s = 0.05 * np.arange(1200, dtype=np.float64)
+    eta, velocity = np.zeros((2, 1200, 4))
+    eta[:, 0], velocity[:, 0] = 0.1 * time_s, 0.1
+    trajectories = {r: Trajectory(f"t{r}", 0.05, eta, velocity, np.zeros_like(eta)) for r in run.experiment.robot_ids}
+    segment = PlanSegment(trajectories, trajectories[1], run.experiment.duration_s)
+    run.mission = Mission(run.experiment, segment, dict.fromkeys(run.experiment.robot_ids, np.zeros(4)), False, None)
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    run.step(2.0)
+    for robot in run.robots.values():
+        robot.trajectory_s = (run.now_ns - robot.starts_at_ns) * 1e-9
+    run.step()
+    assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    for robot in run.robots.values():
+        robot.eta = (0.1 * robot.trajectory_s + beyond_m, 0.02, 0.0, 2.0)
+    return run
+
+
+def test_a_formation_goes_on_from_where_it_came_to_rest() -> None:
+    """A robot that stops comes to rest beyond the point of its path at which it was told to."""
+    run = paused_beyond()
+    stopped_s = run.robots[1].trajectory_s
+    run.robots[2].eta = (0.1 * stopped_s + 0.03, 0.02, 0.0, 2.0)
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    goes_on = {robot.got[-1].trajectory_s - stopped_s for robot in run.robots.values()}
+    assert len(goes_on) == 1 and goes_on.pop() == pytest.approx(0.45, abs=0.06)  # between 0.6 and 0.3 s
+
+
+def test_a_formation_loses_no_pace_while_its_robots_turn_to_their_paths() -> None:
+    run = paused_beyond(["mission.wait_from_m=0.01", "mission.wait_at_m=0.02"])
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    began_ns = run.robots[1].starts_at_ns
+    while run.now_ns < began_ns - STEP_NS:
+        run.step()
+        assert run.mission.governor.lag_s == 0.0 and run.mission.governor.rate == 1.0
+    run.step(2.0)
+    assert run.mission.governor.lag_s > 0.0
 
 
 def test_time_zero_of_a_flight_stays_when_it_is_held_resumed_and_brought_home_and_is_new_with_a_new_start() -> None:
@@ -331,6 +420,51 @@ def test_a_gap_stays_open_until_an_operator_resumes_the_held_robots() -> None:
     run.step(0.2)
     assert run.at(MissionState.HALTING)
     assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
+
+
+@pytest.mark.parametrize("then", ["carried off", "out", "another form"])
+def test_a_gap_closes_whatever_else_happens_to_the_held_robots(then: str) -> None:
+    """Nobody moves while a person holds; the next plan, whatever it is made for, has no gap."""
+    run = three_running("close-up")
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    run.step(0.5)
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(0.5)
+    assert set(run.mission.roster.slots_in_use().values()) == {1, 3}
+    order, text = CommandKind.RESUME, ""
+    if then == "carried off":
+        run.robots[1].eta = (3.0, 0.0, 0.0, 0.0)
+    elif then == "out":
+        run.robots[2].mode = Mode.DISARMED
+        run.mission.note_water(2, True)
+    else:
+        order, text = CommandKind.FORMATION, "line 1.0"
+    run.step(0.5)
+    assert run.mission.request(order, run.fleet(), run.now_ns, text=text) == ""
+    run.step(0.2)
+    assert run.at(MissionState.HALTING)
+    assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
+
+
+def test_a_gap_is_forgotten_with_the_robot_that_rejoins() -> None:
+    """Another one that a person leads later leaves none that the others were to close."""
+    run = three_running("close-up")
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    run.step(0.5)
+    run.robots[2].mode = Mode.FAULT
+    run.step(0.5)
+    run.robots[2].mode = Mode.DISARMED
+    run.step(0.5)
+    assert run.mission.request(CommandKind.REJOIN, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert run.mission.roster.active == (1, 2, 3)
+    run.robots[2].mode = Mode.HOLDING
+    run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns)
+    run.mission.lead(1, CommandKind.DISARM)
+    assert 1 in run.mission.roster.lost
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert set(run.mission.roster.slots_in_use().values()) == {2, 3}
 
 
 def test_a_thruster_test_after_a_run_includes_its_lost_robot() -> None:
@@ -1290,10 +1424,23 @@ def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() 
         robot.test = "passed"
     run.step(2.0)
     assert run.at(MissionState.WAITING) and run.mission.verdict is MissionState.DONE
+    # nobody flies for these alone: a run that is ended now is done
+    for order, leads_to in ((CommandKind.LOAD, MissionState.LOADING), (CommandKind.ARM, MissionState.ARMING)):
+        assert run.mission.request(order, run.fleet(), run.now_ns) == ""
+        run.step(1.0)
+        assert run.at(leads_to) and run.mission.verdict is MissionState.DONE
+    assert run.mission.request(CommandKind.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    run.robots[2].refuses = frozenset({CommandKind.ARM})
     assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
-    assert run.mission.verdict is None
+    run.step(PATIENCE_S + 1.0)
+    assert run.at(MissionState.FAILED) and run.mission.verdict is MissionState.DONE  # the report judges what was flown
+    run.robots[2].refuses = frozenset()
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(MissionState.RUNNING) and run.mission.verdict is None
     run.step(6.0)
-    assert run.at(MissionState.DONE)
+    assert run.at(MissionState.DONE) and run.mission.verdict is MissionState.DONE
     assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
 
 
@@ -1457,6 +1604,42 @@ def test_robots_hold_while_one_cannot_tell_of_obstacles(blind: dict[int, str], r
     run.step(0.2)
     assert run.at(MissionState.PAUSED) and run.mission.reason == reason
     assert {r.mode for r in run.robots.values()} == {Mode.HOLDING}
+
+
+@pytest.mark.parametrize("trouble", ["blind", "localizer_hash"])
+def test_robots_that_may_not_fly_are_sent_off_by_no_loss_and_no_request(trouble: str) -> None:
+    """They hold for another reason than the robot that is then lost. The gap closes when a person lets them go on."""
+    run = three_running("close-up")
+    for robot in run.robots.values():
+        setattr(robot, trouble, "the light changed")
+    run.step(0.5)
+    assert run.at(MissionState.PAUSED)
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(3.0)
+    assert run.at(MissionState.PAUSED) and run.mission.roster.active == (1, 3)
+    for order, text in ((CommandKind.RESUME, ""), (CommandKind.RETURN, ""), (CommandKind.FORMATION, "line 1.0")):
+        assert "robot" in run.mission.request(order, run.fleet(), run.now_ns, text=text)
+    for robot in run.robots.values():
+        setattr(robot, trouble, "")
+    run.step(2.0)  # the mission is automatic: it goes on by itself
+    assert run.at(MissionState.HALTING)
+    assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
+
+
+@pytest.mark.parametrize("trouble", ["blind", "localizer_hash"])
+def test_robots_that_may_not_fly_any_more_wait_for_it_armed(trouble: str) -> None:
+    """All was well at the request, and while they were armed."""
+    run = MissionRun(automatic=False)
+    assert run.mission.request(CommandKind.START, run.fleet(), run.now_ns) == ""
+    while not run.at(MissionState.ARMING):
+        run.step()
+    setattr(run.robots[2], trouble, "the light changed")
+    run.step(3.0)
+    assert run.at(MissionState.ARMING) and "robot 2" in run.mission.reason
+    assert {r.mode for r in run.robots.values()} == {Mode.ARMED}
+    setattr(run.robots[2], trouble, "")
+    run.step(1.0)
+    assert run.at(MissionState.RUNNING)
 
 
 @pytest.mark.parametrize(("policy", "lost"), [("warn", False), ("hold", True)])

@@ -143,6 +143,7 @@ def test_a_request_is_refused_for_each_of_its_reasons(
         (K.GO, {}, {"via": [(X, Y), (-X, -Y)]}),
         (K.GO, {}, {"segment": HOME, "state": S.WAITING}),
         (K.FORMATION, {}, {"transfer": True, "state": S.PAUSED}),
+        (K.FORMATION, {}, {"transfer": True, "segment": HOME, "state": S.WAITING}),  # the way home has been flown
         (K.FORMATION, {}, {"text": "order 2,1"}),
         (K.FORMATION, {"eta": (1.0, 0.0, 0.0, 0.0), "mode": Mode.DISARMED}, AT_REST),
         (K.HOLD, {"mode": Mode.DISARMED}, {}),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.progress_governor import ProgressGovernor
+from groundstation.mission.timetable import ProgressGovernor
 from shoal.config.mission import MissionConfig
 from shoal.frames import Array
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.progress_governor import ProgressGovernor
-from groundstation.mission.timetable import Timetable
+from groundstation.mission.timetable import ProgressGovernor, Timetable
 from groundstation.telemetry import RobotView
 from shoal.config.mission import MissionConfig
 from shoal.messages.messages import Estimate, Mode, RobotState

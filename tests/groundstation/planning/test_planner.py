@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from groundstation.planning.feasibility import PICTURE_MARGIN_M, PlanError
+from groundstation.planning.feasibility import PICTURE_MARGIN_M, PlanError, figures
 from groundstation.planning.planner import plan, start_poses
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
@@ -286,3 +286,34 @@ def test_robots_without_a_node_take_one_of_the_shape(tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"robots\.0\.node_m"):
         load_experiment(str(path))
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        (['path.corner="stop"', 'formation.mode="rotate"'], "robot 2: it turns by 3.142 rad at once at t = 23.00 s"),
+        (
+            ["formation.changes=[{at_s=20.01,over_s=0.02,scale=2.0}]"],
+            "robot 1: its place moves by 0.406 m at once at t = 20.00",
+        ),
+    ],
+)
+def test_a_pose_that_leaps_is_refused_though_no_velocity_shows_it(settings: list[str], reason: str) -> None:
+    """Robots refuse such a trajectory: a page must not say that it can be flown."""
+    path = '{kind="waypoints",points_m=[[-1.5,-1.5],[1.5,-1.5],[1.5,1.5]],speed_mps=0.15,depth_m=0.5,slow=true,stop=true}'
+    room = ["pool.size_m=[9,8,1.5]", NO_CAMERA, f"path={path}", "duration_s=60", "article=[]"]
+    with pytest.raises(PlanError, match=reason):
+        plan(load_experiment("pool", [*room, *settings]))
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "says"),
+    [((0.45, 0.8), "between centres, as they lie now"), ((0.8, 0.45), "between centres"), ((0.8, 0.9), "between centres")],
+)
+def test_robots_that_lie_too_near_and_leave_are_told_from_a_plan_that_brings_them_together(
+    apart_m: tuple[float, float], says: str
+) -> None:
+    still = np.zeros((50, 4))
+    leaves = still + np.linspace(*apart_m, 50)[:, None] * [1.0, 0.0, 0.0, 0.0]
+    plans = {r: Trajectory(f"t{r}", 0.05, eta, still, still) for r, eta in ((1, still), (2, leaves))}
+    assert figures(pool(), plans, 50)[0].what == says

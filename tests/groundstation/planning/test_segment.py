@@ -13,10 +13,12 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import assign_slots, plan_regroup, plan_return
 from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, concatenate, first_contact, first_segment, sample
+from groundstation.planning.shift import reshape
 from groundstation.telemetry import RobotView
 from robot_agent.guidance.reference import Follow, ReferenceSampler, splice, splice_objection
 from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import read_form
 from shoal.frames import Array
 from shoal.messages.codec import decode, encode
 from shoal.messages.messages import Command, CommandKind, Estimate, RobotState, Trajectory
@@ -63,20 +65,24 @@ def test_a_route_that_takes_too_long_to_plan_or_to_fly_is_given_up() -> None:
     assert time.process_time() - begun_s < 2.0
 
 
-def test_a_detour_from_straight_sides_comes_back_to_them() -> None:
-    """An L with a stop at its corner, and an obstacle on the first side: corner and second side are flown as planned."""
-    points = "path.points_m=[[-1.5,-0.8],[1.5,-0.8],[1.5,0.9]]"
+@pytest.mark.parametrize("room_m", [3.0, 1.5])
+def test_a_detour_from_straight_sides_comes_back_to_them(room_m: float) -> None:
+    """An L with a stop at its corner, and an obstacle on the first side: corner and second side are flown as planned. Robots
+    that are still aside at the corner would have to leap as they turn: then the way leads to the path's end."""
+    points = f"path.points_m=[[{-room_m},-0.8],[1.5,-0.8],[1.5,0.9]]"
     corner = load_experiment(
-        "straight", ["pool.size_m=[8,6,1.5]", points, "path.corner=stop", "path.stop=true", "duration_s=60"]
+        "straight", ["pool.size_m=[9,6,1.5]", points, "path.corner=stop", "path.stop=true", "duration_s=70"]
     )
     segment = first_segment(corner)
-    thing = np.array([[0.3, -0.75, 0.1]])
+    thing = np.array([[1.8 - room_m, -0.75, 0.1]])
     new = replan(corner, segment, 4.0, thing)
     assert clearance(segment, thing[0], 4.0) < 0.3 < clearance(new, thing[0], 4.0)
-    assert new.end_s == segment.end_s
-    late = np.arange(45.0, 60.0, 0.5)
+    assert (new.end_s == segment.end_s) is (room_m == 3.0)
+    late = np.arange(55.0, 70.0, 0.5)
     for robot, trajectory in segment.trajectories.items():
-        assert np.abs(sample(new.trajectories[robot], late).eta - sample(trajectory, late).eta)[:, :3].max() < 1e-6
+        away_m = np.abs(sample(new.trajectories[robot], late).eta - sample(trajectory, late).eta)[:, :3].max()
+        assert away_m < 1e-6 or room_m < 3.0
+        assert unflyable(new.trajectories[robot], corner.pool, corner.vehicle) == ""
 
 
 @pytest.mark.parametrize("scene", ["blocked-path", "islands"])
@@ -127,6 +133,59 @@ def test_two_replans_in_a_row_and_one_to_a_requested_place() -> None:
     assert np.hypot(*(moved.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01
     again = replan(BLOCKED, moved, 13.0, np.array([[-0.7, 0.3, 0.1]]))
     assert np.hypot(*(again.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01  # the person's place still counts
+
+
+ROOM = ["pool.size_m=[9.0,8.0,1.2]", "localizer.uses_camera=false", "article=[]"]
+SQUARE = 'path={kind="waypoints",points_m=[[-2,-2],[2,-2],[2,2],[-2,2]],speed_mps=0.15,depth_m=0.4,slow=true,stop=true}'
+AND_BACK = 'path={kind="route",via_m=[[-2.5,0.0],[2.5,0.0],[2.5,2.0],[-2.5,0.0]],speed_mps=0.15,depth_m=0.4}'
+
+
+def test_a_second_detour_leads_to_no_place_that_was_passed_before_the_first() -> None:
+    """The way that the first detour left comes nearest to the first corner at its end."""
+    experiment = load_experiment("pool", [*ROOM, SQUARE, "duration_s=110"])
+    segment = first_segment(experiment)
+    for begin_s, away_s in ((36.0, 40.0), (42.0, 30.0)):
+        x, y = sample(segment.centre, np.array([begin_s + away_s])).eta[0, :2]
+        segment = replan(experiment, segment, begin_s, np.array([[x, y, 0.1]]))
+    assert segment.centre.eta[:, 1].min() > -0.5 and np.hypot(*(segment.centre.eta[:, :2] - 2.0).T).min() < 1.0
+    assert np.allclose(segment.centre.eta[-1, :2], [-2.0, 2.0], atol=0.01)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_detour_after_a_hold_keeps_to_the_instants_at_which_the_form_changes(given: bool) -> None:
+    """The experiment's changes count from the path's beginning, a person's from when it was given; a hold moves both."""
+    change = "formation.changes=[{at_s=50,over_s=10,scale=2.0}]"
+    room = ["pool.size_m=[11.0,9.0,1.2]", *ROOM[1:], SQUARE, "duration_s=150"]
+    experiment = load_experiment("pool", room if given else [*room, change])
+    segment = first_segment(experiment)
+    if given:
+        segment = reshape(experiment, segment, 18.0, read_form("scale 2 over 20", 18.0))
+    rests = {r: sample(t, np.array([20.0])).eta[0] + [0.3, 0.3, 0.0, 0.0] for r, t in segment.trajectories.items()}
+    held = plan_regroup(experiment, segment, 20.0, 20.0, rests, {r: r for r in rests})
+    begin_s = held.transfer_end_s + (10.0 if given else 26.0)
+    x, y = sample(held.centre, np.array([begin_s + 25.0])).eta[0, :2]
+    detour = replan(experiment, held, begin_s, np.array([[x, y, 0.1]]))
+
+    def apart_m(flown: PlanSegment) -> Array:
+        one, other = (sample(t, begin_s + np.arange(0.0, 30.0)).eta[:, :2] for t in flown.trajectories.values())
+        return np.asarray(np.hypot(*(one - other).T))
+
+    assert np.ptp(apart_m(held)) > 0.2
+    np.testing.assert_allclose(apart_m(detour), apart_m(held), atol=0.02)
+
+
+def test_a_detour_on_a_way_there_and_back_ends_when_it_is_back() -> None:
+    """The fleet begins at the last place; it does not stay there afterwards for as long as the whole way took."""
+    experiment = load_experiment("pool", [*ROOM, AND_BACK, "duration_s=140"])
+    before = first_segment(experiment)
+    x, y = sample(before.centre, np.array([54.0])).eta[0, :2]
+    after = replan(experiment, before, 14.0, np.array([[x, y, 0.1]]))
+
+    def stays_s(segment: PlanSegment) -> float:
+        away = np.hypot(*(segment.centre.eta[:, :2] - segment.centre.eta[-1, :2]).T)
+        return segment.end_s - segment.centre.begin_s - PERIOD_S * float(np.flatnonzero(away > 0.01)[-1])
+
+    assert stays_s(after) == pytest.approx(stays_s(before), abs=1.0)
 
 
 @pytest.mark.long

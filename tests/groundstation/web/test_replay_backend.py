@@ -77,6 +77,19 @@ def test_replay_begins_where_any_robot_starts_to_fly(tmp_path: Path) -> None:
         assert replay.scene()["replay"]["begin_s"] == pytest.approx(START_S + 0.05, abs=0.01)
 
 
+def test_a_silent_robot_is_shown_as_it_was_last_heard(tmp_path: Path) -> None:
+    """However long ago: at the end of a failed run that is what people want to see."""
+    write_run(tmp_path, Script(duration_s=20.0, lost=((2, 5.0, 60.0),)))
+    with ReplayBackend(tmp_path) as replay:
+        for flown_s in (6.5, 7.5, 12.5, 5.5):
+            _, robot = (shown := at(replay, START_S + flown_s))["robots"]
+            assert robot["state"]["mode"] == "TRACKING"
+            assert robot["age_ms"] == pytest.approx(1e3 * (flown_s - 5.0), abs=60.0)
+            if flown_s > 6.0:
+                lines = [(alarm["level"], alarm["text"]) for alarm in shown["alarms"] if alarm["robot"] == 2]
+                assert lines == [("critical", f"not heard for {robot['age_ms'] * 1e-3:.1f} s")]
+
+
 @pytest.mark.parametrize("order", [(3.0, 12.5, 25.0), (25.0, 3.0, 12.5)])
 def test_seeking_shows_the_states_of_that_time(replay: ReplayBackend, order: tuple[float, ...]) -> None:
     for flown_s in order:

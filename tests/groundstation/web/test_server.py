@@ -41,6 +41,7 @@ from shoal.messages.messages import CommandKind, Event, Mode, Outcome, Preview, 
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, body_fits
 from tests.groundstation.fake_station import FakeStation
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.real_time
 
@@ -237,7 +238,7 @@ def test_a_page_with_a_wrong_token_gets_no_state(lab: ServedStation) -> None:
     assert lab.orders == []
 
 
-@pytest.mark.parametrize("text", ["nonsense", '{"kind":"order","n":1,"order":"fly"}', "x" * (protocol.LONGEST_BYTES + 1)])
+@pytest.mark.parametrize("text", ["nonsense", '{"kind":"ack","n":-1}', "x" * (protocol.LONGEST_BYTES + 1)])
 def test_nonsense_ends_only_its_own_connection(lab: ServedStation, text: str) -> None:
     good, bad = lab.open(), lab.open()
     good.hello()
@@ -476,6 +477,31 @@ def test_a_message_that_is_no_request_ends_its_page_with_the_reason(
     other.hello()
 
 
+@pytest.mark.parametrize(
+    ("message", "kind"),
+    [
+        ({"kind": "try", "edit": {"pool_m": [12_000_000.0, 6.0, 1.0]}}, "tried"),
+        ({"kind": "try", "edit": {"kind": "waypoints", "laps": 10_000_000_000}}, "tried"),
+        ({"kind": "save", "edit": {"islands_m": [[0.0, 0.0, 0.1]] * 101}, "name": "mine"}, "saved"),
+        ({"kind": "after", "what": "edited", "edit": {"points_m": [[0.0, 0.0]] * 201}}, "chosen"),
+        ({"kind": "draft", "order": "path", "text": "=" * 50_000}, "drafted"),
+        ({"kind": "order", "order": "go", "via_m": [[0.0, 1e6]]}, "reply"),
+        ({"kind": "tune", "values": {"controller.mpc.q.0": 1e300}}, "reply"),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_answered_and_ends_no_control(
+    lab: ServedStation, message: dict[str, Any], kind: str
+) -> None:
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    page.say(n=7, **message)
+    answer = page.until(lambda f: f["k"] == kind)
+    assert answer["n"] == 7 and not answer["ok"] and answer["problems"] == [answer["reason"]] and answer["reason"]
+    assert page.until(state)["holder"] != 0
+
+
 def test_a_private_key_that_others_can_read_is_refused_at_start(lab: ServedStation, tmp_path: Path) -> None:
     key_ring.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
     keys = tmp_path / "keys" / "groundstation"
@@ -574,8 +600,39 @@ def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: ServedStation, mo
         release.set()
 
 
+def test_a_disk_that_hangs_as_a_page_is_opened_keeps_no_stop_waiting(
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads, release = threading.Event(), threading.Event()
+
+    def read(robots: tuple[int, ...]) -> list[str]:
+        reads.set()
+        release.wait(PATIENCE_S)
+        return ["pool"]
+
+    page, other = lab.open(), lab.open()
+    page.hello()
+    monkeypatch.setattr(client_hub, "loadable", read)
+    other.say(kind="hello", token=TOKEN)
+    try:
+        assert reads.wait(PATIENCE_S)
+        page.say(kind="order", n=1, order="stop")
+        assert page.until(lambda f: f["k"] == "reply")["ok"]
+        other.say(kind="order", n=1, order="stop")
+        assert eventually(lambda: len(lab.orders) == 2)
+        hello = other.hear()
+        assert hello["k"] == "hello" and hello["scene"]["loadable"] == []
+        assert other.until(lambda f: f["k"] == "reply")["ok"]
+        assert not release.is_set()
+    finally:
+        release.set()
+    third = lab.open()
+    assert third.hello()["scene"]["loadable"] == ["pool"]
+
+
 def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> None:
-    """A station that hung, or a link that did: what the operator saw when he gave it is past. A stop is never too late."""
+    """A station that hung, or a link that did: what the operator saw when he gave it is past. What only takes power away is
+    never too late."""
     page = lab.open()
     page.hello()
     page.say(kind="take")
@@ -588,9 +645,34 @@ def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> No
         page.say(kind=kind, n=n, seen_ms=page.clock_ms + 100_000, **late)  # by the clock of before this computer's start
         reply = page.until(lambda f: f["k"] == "reply")
         assert not reply["ok"] and "before this computer's start" in reply["reason"]
-    page.say(kind="order", n=3, order="stop", seen_ms=0)
-    assert page.until(lambda f: f["k"] == "reply")["ok"]
-    assert lab.orders == [CommandKind.STOP]
+    for n, order in enumerate(("disarm", "stop")):
+        page.say(kind="order", n=n, order=order, seen_ms=page.clock_ms - 10_000)
+        assert page.until(lambda f: f["k"] == "reply")["ok"]
+    assert lab.orders == [CommandKind.DISARM, CommandKind.STOP]
+
+
+def test_an_order_that_waited_long_for_others_is_not_done(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One before them waits, as for a disk."""
+    release = lab.blocked = threading.Event()
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    for limit in ("ORDER_VALID_S", "DRIVE_VALID_S"):
+        monkeypatch.setattr(client_hub, limit, PATIENCE_S)
+    page.order(0, "load")
+    page.order(1, "start")
+    page.say(kind="drive", robot=1, surge_mps=0.1, heave_mps=0.0, yaw_rate_radps=0.0, seen_ms=page.clock_ms)
+    page.say(kind="tune", n=2, values=None, next_lap=False, seen_ms=page.clock_ms)
+    page.order(3, "disarm")
+    page.say(kind="try", n=4, edit={})
+    page.until(lambda f: f.get("n") == 4)  # all of them have come
+    for limit in ("ORDER_VALID_S", "DRIVE_VALID_S"):
+        monkeypatch.setattr(client_hub, limit, 0.0)
+    release.set()
+    replies = [page.until(lambda f: f["k"] == "reply") for _ in range(4)]
+    assert [(reply["n"], reply["ok"]) for reply in replies] == [(0, True), (1, False), (2, False), (3, True)]
+    assert lab.orders == [CommandKind.LOAD, CommandKind.DISARM] and lab.drives == []
 
 
 def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_ended(lab: ServedStation) -> None:

@@ -15,7 +15,7 @@ from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.evaluation.metrics import GroundTruthTrajectory, PoseRow, PublishedPose, pose_rows
 from localizer.evaluation.runner import evaluate_plain
-from localizer.tracking.single_object import SingleObjectTracker
+from localizer.evaluation.single_object import SingleObjectTracker
 from shoal.config.experiment import load_experiment
 from shoal.frames import Array, wrap
 from shoal.messages import topics

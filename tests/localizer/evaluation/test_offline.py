@@ -136,13 +136,44 @@ def test_a_run_that_was_cut_goes_on_to_the_same_table(video: Path, tmp_path: Pat
     assert cut.read_text() == text
 
 
-def _begun(video: Path, out: Path) -> Path:
-    """The part of a table that a run of the same command gathers, made by one that is stopped."""
+@pytest.mark.parametrize("fails_again", [False, True])
+def test_a_run_that_goes_on_tells_of_pictures_that_failed_before(
+    fails_again: bool, video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They make no rows, so that the table alone looks as if nothing had failed: the first part's count, each once."""
+    out = tmp_path / "poses.csv"
+    _begun(video, out, fails_at=2)
+    if fails_again:  # on the way up to the last frame that is whole
+
+        def failing(self: FleetLocalizer, *arguments: Any) -> LocalizationResult:
+            raise cv2.error("assertion failed")
+
+        locate, calls = FleetLocalizer.locate, iter(range(1000))
+        monkeypatch.setattr(
+            FleetLocalizer, "locate", lambda self, *rest: (failing if next(calls) == 2 else locate)(self, *rest)
+        )
+    done = CliRunner().invoke(cli, ["track", str(video), "--experiment", "pool", "--out", str(out), "--resume"])
+    assert done.exit_code == 1, done.output
+    assert "1 pictures could not be localized in, the first: error: assertion failed" in done.stderr
+    assert {int(row["frame"]) for row in _rows(out)} == {1, *range(3, FILMED)}
+    assert [path.name for path in tmp_path.iterdir()] == ["poses.csv"]
+
+
+def _begun(video: Path, out: Path, fails_at: int = -1) -> Path:
+    """The part of a table that a run of the same command gathers, made by one that is stopped. `fails_at`: the picture that
+    nothing can be done with."""
     script = f"""
 import os
+import cv2
 from localizer.evaluation import offline
 row = offline._row  # private: the run ends in the middle of its work, as if it were killed
 offline._row = lambda frame, *rest: os._exit(9) if frame > 3 else row(frame, *rest)
+locate, calls = offline.FleetLocalizer.locate, iter(range(1000))
+def locate_or_fail(self, *rest):
+    if next(calls) == {fails_at}:
+        raise cv2.error("assertion failed")
+    return locate(self, *rest)
+offline.FleetLocalizer.locate = locate_or_fail
 from localizer.__main__ import cli
 cli(["track", {str(video)!r}, "--experiment", "pool", "--out", {str(out)!r}])
 """

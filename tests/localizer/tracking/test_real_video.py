@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from localizer.evaluation.runner import evaluate_plain, read_idtracker
+from localizer.evaluation.single_object import SingleObjectTracker
 from localizer.sources.video import VideoReader
-from localizer.tracking.single_object import SingleObjectTracker
 from shoal.frames import wrap
 
 DATA = Path(os.environ.get("SHOAL_DATA", Path(__file__).parents[4] / "shared" / "data")) / "mouse"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.guidance.formation import MEANT_S, NEAREST, NOWHERE, Formation, HalfSpaces, Neighbour, Priority
+from robot_agent.guidance.formation import MEANT_S, NEAREST, NOWHERE, WAY_STEP_S, Formation, HalfSpaces, Neighbour, Priority
 from shoal.frames import Array
 from shoal.messages.messages import Plan
 from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS
@@ -219,6 +219,19 @@ def test_where_each_is_now_and_means_to_go_read_from_each_plan_alone() -> None:
         x, y, z, _ = other.plan.eta[now]
         assert predictions.place_now[i] == pytest.approx(complex(x, y)) and predictions.depth_now[i] == pytest.approx(z)
         assert predictions.intended_velocity[i] == pytest.approx(complex(moved[0], moved[1]) / (PERIOD_S * max(then - now, 1)))
+
+
+def test_way_that_a_robot_means_to_go_is_its_planned_reference_and_then_straight_on() -> None:
+    eta, time_s = np.zeros((51, 4)), PERIOD_S * np.arange(51, dtype=np.float64)
+    eta[:, 0], eta[:, 1] = 0.2 * time_s, 0.03 * time_s**2
+    way = formation().predict_neighbours([Neighbour(2, 0, Plan(PERIOD_S, eta + 0.1, eta), True)], NS // 2).intended_way[0]
+    end_s = time_s[-1]
+    for k, place in enumerate(way):
+        at_s = 0.5 + WAY_STEP_S * (k + 1)
+        beyond_m = 0.03 * (min(at_s, end_s) ** 2 + (2.0 * end_s - PERIOD_S) * max(at_s - end_s, 0.0))
+        assert place == pytest.approx(complex(0.2 * (at_s - 0.5), beyond_m - 0.03 * 0.25), abs=1e-9)
+    old = formation().predict_neighbours([Neighbour(2, 0, Plan(PERIOD_S, eta, eta), False)], 4 * NS).intended_way
+    assert not old.any()
 
 
 @pytest.mark.parametrize(("x_m", "leans"), [(0.7, False), (0.53, False), (0.51, True), (0.3, True)])

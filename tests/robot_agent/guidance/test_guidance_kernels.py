@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from robot_agent.guidance.formation import Formation, Neighbour, Places
+from robot_agent.guidance.formation import WAY_STEP_S, WAY_STEPS, Formation, Neighbour, Places
 from robot_agent.guidance.reference import sample_trajectory
 from robot_agent.guidance.velocity_obstacles import (
     ABAFT,
     CATCH_UP,
     HEAD_ON,
-    LOOK_STEP_S,
     PARTING,
     SLIGHTEST_MPS,
     STANDS_ON,
@@ -35,7 +34,7 @@ from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY
 SEEDS = range(8)
 LOOK_AHEAD_S, AGILITY = 8.0, Agility(0.15, 8.0, 0.4, 0.12, 0.5, 0.25)
 TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(STEPS, dtype=np.float64)])
-LOOKS_S = LOOK_STEP_S * np.arange(1, 17)
+LOOKS_S = WAY_STEP_S * np.arange(1, 17)
 
 
 def places(random: np.random.Generator, size: float, *shape: int) -> Places:
@@ -80,12 +79,12 @@ def test_plans_are_sampled_as_by_interpolation_of_each(seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_trajectory_is_sampled_as_by_interpolation(seed: int) -> None:
     random = np.random.default_rng(seed)
-    path, offset_s = random.normal(size=(3, 30, 4)), np.sort(random.uniform(-1.0, 3.0, 40))
-    begin_s, period_s, time_s, rate = random.uniform(0.05, 1.0, 4).tolist()
+    path, offset_s = random.normal(size=(3, 30, 4)), np.sort(random.uniform(0.0, 3.0, 40))
+    begin_s, period_s, time_s, rate, waits_s = random.uniform(0.05, 1.0, 5).tolist()
     result = np.empty((3, 40, 4))
-    sample_trajectory(path, begin_s, period_s, time_s, rate, offset_s, result)
-    place = (time_s + rate * offset_s - begin_s) / period_s
-    moves = rate * ((place >= 0.0) & (place <= 29.0))[:, None]
+    sample_trajectory(path, begin_s, period_s, time_s, rate, waits_s, offset_s, result)
+    place = (time_s + rate * np.maximum(offset_s - waits_s, 0.0) - begin_s) / period_s
+    moves = rate * ((place >= 0.0) & (place <= 29.0) & (offset_s >= waits_s))[:, None]
     for rows, samples, pace in zip(result, path, (1.0, moves, moves**2), strict=True):
         assert rows == pytest.approx(pace * columns(samples, place), abs=1e-9)
 
@@ -98,7 +97,8 @@ def scene(seed: int) -> tuple[np.random.Generator, complex, complex, Traffic, Ar
     random = np.random.default_rng(seed)
     place, velocity = places(random, 0.2, 2).tolist()
     keep_m, yields = random.uniform(0.1, 0.9, 7) * (random.random(7) < 0.9), random.random(7) < 0.6
-    traffic = Traffic(places(random, 1.0, 7), places(random, 0.1, 7), keep_m, yields)
+    there, going, way = places(random, 1.0, 7), places(random, 0.1, 7), np.reshape(places(random, 0.3, 7 * WAY_STEPS), (7, -1))
+    traffic = Traffic(there, going, keep_m, yields, way, np.zeros(7))
     return random, place, velocity, traffic, random.uniform(2.0, 8.0, 7) * (random.random(7) < 0.8)
 
 
@@ -164,7 +164,7 @@ def test_the_way_back_is_that_of_a_point_that_homes(seed: int) -> None:
     beyond_s, at, before = np.maximum(LOOKS_S - TIMES_S[-1], 0.0), point, complex(*eta[0, :2])
     goals = [np.interp(LOOKS_S, TIMES_S, eta[:, c]) + beyond_s * rate[-1, c] for c in (0, 1)]
     for k, goal in enumerate(goals[0] + 1j * goals[1]):
-        at += LOOK_STEP_S * homing(before, (goal - before) / LOOK_STEP_S, at)
+        at += WAY_STEP_S * homing(before, (goal - before) / WAY_STEP_S, at)
         before = goal
         assert ahead[k] == pytest.approx(at - point, abs=1e-9)
 
@@ -184,15 +184,15 @@ def test_the_way_out_changes_to_its_course_steadily(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(40))
 def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
     random, place, velocity, traffic, within_s = scene(seed)
-    wanted, (there, going, keep_m, sided) = 0.1 + 0.02j, traffic
+    wanted, (there, going, keep_m, sided, way, _) = 0.1 + 0.02j, traffic
     ahead = np.asarray(wanted * LOOKS_S, np.complex128)
     room, islands, islands_keep_m = (1.0, 0.6), places(random, 1.0, 2), np.array([0.3, 0.2])
     meets = np.empty(7, bool)
     any_meets = find_meetings(place, ahead, traffic, within_s, meets)
     away = there - place
     keep = np.minimum(keep_m, PARTING * np.abs(away))
-    passes = np.abs(away - ahead[:, None] + going * LOOKS_S[:, None]) < keep
-    passes &= np.arange(1, 17)[:, None] <= np.round(within_s / LOOK_STEP_S)
+    passes = np.abs(away - ahead[:, None] + way.T) < keep
+    passes &= np.arange(1, 17)[:, None] <= np.round(within_s / WAY_STEP_S)
     assert np.array_equal(meets, passes.any(axis=0)) and any_meets == meets.any()
 
     fan, counts = make_fan(), within_s > 0.0

@@ -27,6 +27,17 @@ def test_before_the_start_it_waits_at_the_first_pose() -> None:
     assert rows.velocity[-1].any()  # the horizon sees the start coming
 
 
+def test_before_it_goes_on_in_the_middle_it_rests_there_and_sees_the_motion_coming() -> None:
+    path = circle(0.5, 20.0)
+    moving = ReferenceSampler(OFFSETS).sample(Follow(path, 7.0)).eta[0]
+    rows = ReferenceSampler(OFFSETS).sample(Follow(path, 7.0, waits_s=1.5))
+    rests = np.concatenate([[0.0], OFFSETS]) < 1.5
+    assert np.array_equal(rows.eta[rests], np.tile(moving, (rests.sum(), 1)))
+    assert not rows.velocity[rests].any() and not rows.acceleration[rests].any() and rows.velocity[~rests, 3].all()
+    late = ReferenceSampler(OFFSETS).sample(Follow(path, 8.0)).eta[0].copy()
+    assert ReferenceSampler(OFFSETS + 1.45).sample(Follow(path, 7.0, waits_s=1.5)).eta[21] == pytest.approx(late, abs=1e-9)
+
+
 def test_after_the_end_it_rests_at_the_last_pose() -> None:
     path = circle(0.5, 20.0)
     end_s = (len(path.eta) - 1) * PERIOD_S

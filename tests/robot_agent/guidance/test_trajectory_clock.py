@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from groundstation.planning import planner
-from robot_agent.guidance.reference import pose_at
+from robot_agent.guidance.reference import ReferenceSampler, pose_at
 from robot_agent.guidance.trajectory_check import unflyable
 from robot_agent.guidance.trajectory_clock import FASTER, TrajectoryClock
 from robot_agent.inputs import StationView
@@ -291,6 +291,20 @@ def test_before_its_instant_a_robot_waits_where_it_is_to_go_on() -> None:
     assert robot.start(in_s=0.5, at_s=3.0) == ""
     assert robot.reaches(0.4) == 3.0
     assert robot.reaches(0.6) == pytest.approx(3.5)
+
+
+def test_a_robot_that_waits_foresees_when_it_will_go_on() -> None:
+    """Its plan 2 s ahead is where its path leads by then, also half a second before it sets out."""
+    robot, ahead = ClockedRobot(straight()), ReferenceSampler(np.array([2.0]))
+    assert robot.start(in_s=0.5, at_s=3.0) == ""
+    foreseen, sets_out_ns = [], robot.now_ns + NS // 2
+    for _ in range(20):
+        robot.now_ns += STEP_NS
+        goal = robot.clock.goal(robot.station, robot.now_ns)
+        assert goal is not None
+        expected_m = straight().eta[0, 0] + 0.1 * (3.0 + (robot.now_ns - sets_out_ns) / NS + 2.0)
+        foreseen.append(ahead.sample(goal).eta[1, 0] - expected_m)
+    assert foreseen == pytest.approx(np.zeros(20), abs=1e-6)
 
 
 def test_the_lag_of_the_formation_counts_from_the_start_on() -> None:

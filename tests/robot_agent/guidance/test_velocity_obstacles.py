@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.control.nonlinear.tuning import agility
-from robot_agent.guidance.formation import Formation, Neighbour
+from robot_agent.guidance.formation import WAY_STEP_S, WAY_STEPS, Formation, Neighbour
 from robot_agent.guidance.reference import Reference
-from robot_agent.guidance.velocity_obstacles import NOBODY, SURE_S, GiveWay, Traffic, robot_traffic
+from robot_agent.guidance.velocity_obstacles import NOBODY, SURE_S, GiveWay, Traffic, robot_traffic, straight_ways
 from shoal.config.experiment import load_experiment
 from shoal.messages.messages import Plan
 
@@ -25,7 +25,9 @@ TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(26)])
 
 
 def one(place: complex, velocity: complex, keep_m: float, sided: bool) -> Traffic:
-    return Traffic(np.array([place], complex), np.array([velocity], complex), np.array([keep_m]), np.array([sided]))
+    """Traffic that keeps to no way that it tells."""
+    going, error_m = np.array([velocity], complex), np.array([math.inf])
+    return Traffic(np.array([place], complex), going, np.array([keep_m]), np.array([sided]), straight_ways(going), error_m)
 
 
 class Point:
@@ -199,6 +201,39 @@ def test_round_an_obstacle_the_shorter_way_counts(way: complex) -> None:
         assert abs(point.place - way) > 0.36
     assert abs(point.place - point.end) < 0.02
     assert max(side, key=abs) * way.imag < 0.0
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_robot_does_not_flee_from_one_that_comes_towards_it_and_means_to_stop(stops: bool) -> None:
+    """Two that fly into places 0.8 m apart, one behind the other on a line."""
+    point, leaves = Point(-0.2 + 0j, 0j, 0.1), False
+    for k in range(100):
+        time_s = k * PERIOD_S
+        way = 0.2 * (time_s + WAY_STEP_S * np.arange(WAY_STEPS + 1, dtype=np.float64))
+        place = 2.0 - (np.minimum(way, 1.2) if stops else way)
+        other = one(complex(place[0]), complex((place[2] - place[0]) / (2.0 * WAY_STEP_S)), KEEP_M, True)
+        leaves |= point.step(time_s, other._replace(way=(place[1:] - place[0])[None].astype(np.complex128)))
+        point.move()
+        if not stops and leaves:
+            return
+    assert stops and not leaves and abs(point.place) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "error_m", "leaves"), [(0.62, 0.0, False), (0.62, 0.1, True), (0.62, math.inf, True), (0.5, 0.0, True)]
+)
+def test_paths_that_were_planned_apart_need_no_room_for_robots_that_keep_to_them(
+    apart_m: float, error_m: float, leaves: bool
+) -> None:
+    """Two that pass one another on parallel lines, for which 2R is enough. One that is off its path is given room."""
+    points, left = (Point(-1.5 + 0j, 1.5 + 0j, 0.1), Point(1.5 + 1j * apart_m, -1.5 + 1j * apart_m, 0.1)), False
+    for k in range(300):
+        traffic = [other.traffic._replace(error_m=np.full(len(other.traffic.place), error_m)) for other in reversed(points)]
+        for point, other in zip(points, traffic, strict=True):
+            left |= point.step(k * PERIOD_S, other)
+        for point in points:
+            point.move()
+    assert left == leaves
 
 
 def plan(urgent: bool = False, depth_m: float = 0.3) -> Plan:

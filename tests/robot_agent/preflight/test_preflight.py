@@ -45,6 +45,7 @@ from tests.robot_agent import obedient_board
 from tests.robot_agent.autopilot import Autopilot
 from tests.robot_agent.host.restarted_board import DEEP, RESTARTED, STILL, RestartedBoard
 from tests.shoal.mavlink.resetting_board import ResettingBoard
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.real_time
 
@@ -458,6 +459,25 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
         assert [results[what][0] for what in ("thruster board", "thrusters")] == ["skipped", "skipped"]
     finally:
         agent.close()
+
+
+def test_a_board_that_was_left_in_hil_mode_is_named_as_such(tmp_path: Path) -> None:
+    """From the desk to the bench without power off: it measures nothing, and nobody is to look for a broken sensor."""
+    port, station = tmp_path / "board", f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "sim_bridge", "board", "pool", "--robot", "1", "--port", f"pty:{port}"]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as board:
+        try:
+            assert eventually(port.exists, 60.0)
+            link = ["--link", f"serial:{port}"]
+            assert invoke("params", "set", "HIL_MODE", "1", *link).exit_code == 0
+            assert (
+                invoke("init", "--robot", "1", "--station", station, *link, "--out", str(tmp_path / "agent.toml")).exit_code
+                == 0
+            )
+            row = checked(tmp_path)[1]["thruster board"]
+        finally:
+            board.terminate()
+    assert row[0] == "fail" and "it is in HIL mode, and nothing simulates its measurements" in row[1]
 
 
 def test_failed_check_is_named(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ def flown(monkeypatch: pytest.MonkeyPatch, cell: str, number: int, path_s: float
 
 SLOW = pytest.mark.slow
 TRAPS = [
-    ("held-start", 2, 3.0, 6.0), ("held-start", 1, 5.0, 7.0), ("turned-57", 0, 3.0, 6.0), ("turned-180", 1, 3.0, 6.0),
+    ("held-start", 2, 3.0, 6.0), ("held-start", 1, 3.0, 6.0), ("turned-57", 0, 3.0, 6.0), ("turned-180", 1, 3.0, 6.0),
     ("turned-180", 5, 3.0, 6.0), ("turned-90", 5, 3.0, 6.0),
     pytest.param("held-path", 0, 3.0, 20.0, marks=SLOW), pytest.param("swept", 0, 3.0, 18.0, marks=SLOW),
     pytest.param("held-meet", 1, 3.0, 20.0, marks=SLOW), pytest.param("turned-20", 2, 7.0, 12.0, marks=SLOW),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from robot_agent.safety.thrust_response import Standstill, ThrustResponse
+from robot_agent.safety.thrust_response import Axis, Standstill, ThrustResponse
 from shoal.config.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")
@@ -34,7 +34,7 @@ def fly(
             read_rad = yaw + math.radians(marker_deg) + YAW_RAD * random.normal()
             response.note_pose(round(time_s * 1e9), measured_place, read_rad, POSE_M**2)
             surge_n = 5.0 * math.sin(0.9 * time_s) if time_s > 1.0 else 0.0
-            response.note_thrust(surge_n, round(time_s * 1e9))
+            response.note_thrust(surge_n, 0.0, round(time_s * 1e9))
             if held is None and response.held_fast:
                 held = time_s
             if turned is None and response.marker_turned_rad:
@@ -56,10 +56,10 @@ def fly(
 
 def test_thrust_that_lasts_may_be_balanced_and_is_no_evidence_any_more() -> None:
     """A robot that stands in a current that has grown: what it gave at first is forgotten."""
-    standstill, pushed_m = Standstill(1.0), list[float]()
+    standstill, pushed_m = Standstill(Axis(1.0, 4.0, 0.002)), list[float]()
     for k in range(400):
-        standstill.step(0j, 0.0, 0.0, 0.01 + 0j if k else 0j, 0.05)
-        pushed_m.append(standstill.pushed_m)
+        standstill.step(0j, 0.0, 0.01 + 0j if k else 0j, 0.05)
+        pushed_m.append(standstill.pushed)
     assert max(pushed_m) > 1e-3 and pushed_m[-1] < 0.01 * max(pushed_m)
 
 
@@ -89,9 +89,30 @@ def test_after_a_gap_or_a_reset_it_begins_anew_and_what_came_before_is_ignored()
     response = ThrustResponse(VEHICLE)
     for k in range(40):
         response.note_pose(k * 50_000_000, 0j, 0.0, POSE_M**2)
-        response.note_thrust(6.0, k * 50_000_000)
+        response.note_thrust(6.0, 0.0, k * 50_000_000)
     assert response.held_fast
     response.note_pose(10_000_000_000, 3.0 + 0j, 0.0, POSE_M**2)
     assert not response.held_fast and response.response.gain == 1.0
     response.note_pose(9_000_000_000, 5.0 + 0j, 0.0, POSE_M**2)
-    assert response.standstill.stands_s == 0.0
+    assert response.place.stands_s == 0.0
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 50])
+@pytest.mark.parametrize("inertia", [0.5, 1.0, 2.0])
+def test_robot_that_only_turns_at_first_is_found_if_it_is_held_and_not_if_it_turns(inertia: float, rate_hz: int) -> None:
+    """A robot that faces away from its path gives no other thrust."""
+    for is_held in (False, True):
+        random, response, found_s = np.random.default_rng(1), ThrustResponse(VEHICLE), None
+        yaw, rate_radps, acting_nm = 2.0, 0.0, 0.0
+        for k in range(3 * rate_hz):
+            period_s, moment_nm = 1.0 / rate_hz, 0.5 if (k / rate_hz) % 2.0 < 1.0 else -0.5
+            place = POSE_M * complex(*random.normal(size=2))
+            response.note_pose(round(k * period_s * 1e9), place, yaw + YAW_RAD * random.normal(), POSE_M**2)
+            response.note_thrust(0.0, moment_nm, round(k * period_s * 1e9))
+            if found_s is None and response.held_fast:
+                found_s = k * period_s
+            acting_nm += (moment_nm - acting_nm) * min(period_s / VEHICLE.thruster.lag_s, 1.0)
+            drag_nm = (VEHICLE.drag.linear[3] + VEHICLE.drag.quadratic[3] * abs(rate_radps)) * rate_radps
+            rate_radps += 0.0 if is_held else period_s * (acting_nm - drag_nm) / (inertia * VEHICLE.mass.yaw_kg_m2)
+            yaw += rate_radps * period_s
+        assert (found_s is not None and found_s < 1.5) if is_held else found_s is None

@@ -125,6 +125,22 @@ def test_a_thruster_test_that_was_passed_counts_no_more_once_the_thrusters_are_i
     assert (state.mode, state.fault, state.thruster_test) == (Mode.FAULT, "thruster board disobeys", "")
 
 
+def test_a_thruster_test_that_was_passed_counts_no_more_for_another_board() -> None:
+    """A board that restarted, or that was silent and may be another one, is one whose parameters are not known yet."""
+    steps = rehearse(POOL, 1)
+    for agent, inputs, now_ns in itertools.islice(steps, 5):
+        agent.step(inputs, now_ns)
+    # through the order TEST the robot would have to go through every thruster first
+    agent._selftest = ThrusterSelftest(POOL.vehicle, agent.neutral_us)
+    # through the order TEST the robot would have to go through every thruster first
+    agent._selftest.result = "passed"
+    tests = []
+    for objection in ("", "the thruster board's parameters are not known yet: none so far", ""):
+        agent, inputs, now_ns = next(steps)
+        tests.append(agent.step(replace(inputs, board=replace(inputs.board, objection=objection)), now_ns).state.thruster_test)
+    assert tests == ["passed", "", ""]
+
+
 @pytest.mark.parametrize("testing", [False, True])
 def test_a_thruster_that_runs_by_itself_is_noticed_before_the_start(testing: bool) -> None:
     """In ARMED, where people are nearest. A test says itself what it finds, and what it found stays."""

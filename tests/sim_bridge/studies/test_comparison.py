@@ -29,6 +29,7 @@ from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.flights.scene_flights import flown_once
 from tests.forked import ended
 from tests.planted import executed, installed, plant
+from tests.sim_bridge.studies.interrupted_flights import WatchedPool
 
 pytestmark = pytest.mark.long
 
@@ -183,6 +184,24 @@ def test_flights_are_kept_elsewhere_where_the_disk_does_not_take_them(tmp_path: 
     (kept,) = tmp_path.glob("comparison-*/comparison.json")
     assert str(kept.parent) in str(refusal.value)
     assert [variant.name for variant in Comparison.from_json(kept.read_text()).variants] == ["nmpc"]
+
+
+def test_an_interrupted_comparison_keeps_the_seeds_that_all_have_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fly_until_interrupted(task: FlightTask) -> FlightRecord:
+        if task.seed == 2:
+            WatchedPool.interrupt()
+        return fly(task)
+
+    monkeypatch.setattr(comparison, "fly", fly_until_interrupted)
+    monkeypatch.setattr(comparison, "worker_pool", WatchedPool)
+    screen = io.StringIO()
+    console = Console(file=screen, width=200)
+    assert comparison.run("numeric", ["duration_s=20.5"], ["pid", "lqr"], [1, 2], 0.0, 1, tmp_path, console) == 1
+    kept = Comparison.from_json((tmp_path / "comparison.json").read_text())
+    assert [[flight.seed for flight in variant.flights] for variant in kept.variants] == [[1], [1]]
+    assert "1 of 2 seeds were flown by all; of the others one ended so: KeyboardInterrupt" in screen.getvalue()
 
 
 @pytest.mark.parametrize("lost", [{2}, {1, 2}])

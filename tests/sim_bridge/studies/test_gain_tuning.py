@@ -3,16 +3,23 @@
 import dataclasses
 import tomllib
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import get_args
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from groundstation.analysis.comparison import FlightMetrics
+from groundstation.analysis.comparison import FlightMetrics, FlightRecord
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import load_experiment
 from shoal.frames import Array
+from sim_bridge.__main__ import cli
+from sim_bridge.studies import gain_tuning
+from sim_bridge.studies.comparison import FlightTask
 from sim_bridge.studies.gain_tuning import WEAR, TuningResult, cost, search, values, with_gains
+from tests.sim_bridge.studies.interrupted_flights import WatchedPool
 
 FEEDBACK = [law.replace("-", "_") for law in get_args(LawName) if law not in ("eso-mpc-article", "nmpc")]
 CONTROLLER = load_experiment("pool").controller
@@ -32,7 +39,7 @@ def test_gains_go_out_and_come_back_in_the_order_of_the_section(name: str) -> No
 def test_printed_gains_are_a_section_of_an_experiment_file(name: str) -> None:
     section = getattr(CONTROLLER, name)
     changed = with_gains(section, 1.5 * np.array(values(section)))
-    table = tomllib.loads(TuningResult(name.replace("_", "-"), 0.0, 0.0, changed.model_dump()).toml())
+    table = tomllib.loads(TuningResult(name.replace("_", "-"), 0.0, 0.0, changed.model_dump(), 1).toml())
     assert list(table) == ["controller"] and list(table["controller"]) == [name]
     flown = load_experiment("pool", [f"controller.{name}.{key}={value}" for key, value in table["controller"][name].items()])
     assert getattr(flown.controller, name) == changed
@@ -106,3 +113,49 @@ def test_wear_weighs_as_it_says() -> None:
     rough = dataclasses.replace(GOOD, input_step_rms=1.1)
     far = dataclasses.replace(GOOD, rms_m=np.exp(WEAR) * GOOD.rms_m)
     assert cost([rough]) == pytest.approx(cost([far]))
+
+
+@pytest.mark.parametrize("flown", [6, 0])
+def test_a_worker_that_dies_takes_no_gains_with_it_that_were_found(flown: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search may be hours: its best gains so far are printed, the other laws are tuned all the same, and the exit code
+    tells."""
+    tried: list[tuple[float, float]] = []
+
+    def mortal(task: FlightTask) -> FlightRecord:
+        gains = task.experiment.controller
+        if gains.law == "pid":
+            if len(tried) == flown:
+                raise BrokenProcessPool("terminated abruptly")
+            tried.append((1.0 / (1.0 + len(tried)), gains.pid.guidance_per_s2))
+        return FlightRecord(task.seed, dataclasses.replace(GOOD, rms_m=tried[-1][0] if tried else 1.0), None, None)
+
+    monkeypatch.setattr(gain_tuning, "fly", mortal)
+    monkeypatch.setattr(gain_tuning, "worker_pool", ThreadPoolExecutor)
+    command = ["tune", "--laws", "pid,lqr", "--scenes", "numeric-disturbed", "--budget", "12", "--jobs", "1"]
+    done = CliRunner().invoke(cli, command)
+    if flown == 0:
+        assert isinstance(done.exception, BrokenProcessPool) and "[controller" not in done.stdout
+        return
+    assert done.exit_code == 1, done.output
+    pid, lqr = done.stdout.split("[controller.lqr]")
+    best = tomllib.loads(pid)["controller"]["pid"]["guidance_per_s2"]
+    assert best in {guidance for _, guidance in tried} and tomllib.loads(f"[lqr]{lqr}")["lqr"]
+    assert "of 12 trials" in done.stderr and "terminated abruptly" in done.stderr
+
+
+def test_an_interrupted_search_prints_its_best_gains_and_goes_on_with_no_other_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[float] = []
+
+    def fly_until_interrupted(task: FlightTask) -> FlightRecord:
+        if len(tried) == 1:
+            WatchedPool.interrupt()
+        tried.append(task.experiment.controller.pid.guidance_per_s2)
+        return FlightRecord(task.seed, GOOD, None, None)
+
+    monkeypatch.setattr(gain_tuning, "fly", fly_until_interrupted)
+    monkeypatch.setattr(gain_tuning, "worker_pool", WatchedPool)
+    command = ["tune", "--laws", "pid,lqr", "--scenes", "numeric-disturbed", "--budget", "12", "--jobs", "1"]
+    done = CliRunner().invoke(cli, command)
+    assert done.exit_code == 1, done.output
+    assert tomllib.loads(done.stdout)["controller"]["pid"]["guidance_per_s2"] == tried[0]
+    assert "after 1 of 12 trials" in done.stderr and "it was interrupted" in done.stderr and "lqr" not in done.stdout

@@ -14,7 +14,7 @@ const ANOTHER_AFTER_MS = 4000; // of silence; the station keeps our control for 
 const LOOK_EVERY_MS = 100;
 const CATCH_UP_MS = 60; // after this page itself was held up: what has come meanwhile is read first
 const MOST_GIVEN = 8;
-const NOT_ALLOWED = 4003;
+const [TOO_MANY, NOT_ALLOWED] = [4001, 4003];
 const ROUND_TRIP_EVERY_MS = 1000; // the slowest of this time is shown: to write every one would lay out the page forty times a second
 
 let socket: WebSocket | null = null;
@@ -70,7 +70,7 @@ export function connect(): void {
   opened.onclose = (event) => {
     if (opened !== socket) return;
     connected.value = false;
-    if (event.code === NOT_ALLOWED) refusal.value = event.reason || "not allowed";
+    if (event.code === NOT_ALLOWED || event.code === TOO_MANY) refusal.value = event.reason || "not allowed";
     again();
   };
 }
@@ -145,7 +145,7 @@ function seenMs(): number {
 function give(text: string, request: Request & { n: number }): void {
   say(request);
   const one = { n: request.n, order: text, atMs: performance.now(), heard: false, refusal: "", request: 0, outcome: null };
-  given.value = [one, ...given.value].slice(0, MOST_GIVEN);
+  given.value = [one, ...given.value].filter((g, k) => k < MOST_GIVEN || (g.order === "stop" && !g.heard)); // a stop that nobody has heard is said so until somebody has
 }
 
 export function takeControl(over: boolean): void {

@@ -11,7 +11,7 @@ import { Alarms, Log } from "./panels/Alarms";
 import { End } from "./panels/End";
 import { Faults } from "./panels/Faults";
 import { Header } from "./panels/Header";
-import { Mission, Stopped } from "./panels/Mission";
+import { Mission, MissionNews, Stopped } from "./panels/Mission";
 import { OneRobot } from "./panels/OneRobot";
 import { Plots, themeSerial } from "./panels/Plots";
 import { Replay } from "./panels/Replay";
@@ -36,8 +36,10 @@ function Page() {
           </div>
           <End />
           <Mission />
+          {editing.value && <MissionNews />}
           {editing.value && <Editor />}
           <OneRobot />
+          {!editing.value && <MissionNews />}
           <Faults />
           <Tiles />
           <Tuning />

@@ -2,7 +2,7 @@
 
 import { computed, signal } from "@preact/signals";
 import type { RobotState } from "./messages";
-import type { Alarm, Drafted, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RunList, Scene, Snapshot, Tried } from "./wire";
+import type { Alarm, Drafted, Frame, LogLine, OrderName, Outcome, PastState, PathSamples, RobotNews, RunList, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
 const MOST_LINES = 500;
@@ -100,6 +100,11 @@ export const stopUnheard = computed(() => {
   return stop !== undefined && unanswered(stop);
 });
 
+/** Whether the station would take a request for the whole fleet now, as far as that can be known before. */
+export function takes(state: Snapshot, order: OrderName): boolean {
+  return state.allowed.includes(order) && state.refused?.[order] === undefined;
+}
+
 /** Whether a request should have been answered by now. */
 export function unanswered(g: Given): boolean {
   return !g.heard && (!connected.value || now.value - g.atMs > ANSWER_WITHIN_MS);
@@ -116,7 +121,7 @@ export const live = {
   picture: null as ImageBitmap | null,
   pictureStampMs: 0,
   pictureAgeMs: 0,
-  pictureArrivedMs: 0,
+  pictureSentMs: 0, // by the page's clock
   pictureTime_s: null as number | null, // of a recorded run, when it was
   pictureSerial: 0,
   drawnStampMs: 0,
@@ -191,13 +196,13 @@ function takeState(state: Snapshot): void {
   }
 }
 
-function takePicture({ camera: of, jpeg, age_ms, stamp_ms, time_s }: Frame & { k: "picture" }): void {
-  const arrived = performance.now();
+function takePicture({ camera: of, jpeg, age_ms, stamp_ms, clock_ms, time_s }: Frame & { k: "picture" }): void {
+  const sent = sentMs(performance.now(), clock_ms);
   createImageBitmap(new Blob([jpeg], { type: "image/jpeg" })).then(
     (bitmap) => {
       if (camera.peek()?.name !== of) return bitmap.close(); // another one was chosen meanwhile
       live.picture?.close();
-      Object.assign(live, { picture: bitmap, pictureAgeMs: age_ms, pictureArrivedMs: arrived, pictureTime_s: time_s, pictureStampMs: stamp_ms });
+      Object.assign(live, { picture: bitmap, pictureAgeMs: age_ms, pictureSentMs: sent, pictureTime_s: time_s, pictureStampMs: stamp_ms });
       live.pictureSerial += 1;
       drawSoon();
     },
@@ -209,7 +214,7 @@ function takePicture({ camera: of, jpeg, age_ms, stamp_ms, time_s }: Frame & { k
 export function pictureAgeMs(): number {
   const at = live.snapshot?.replay?.time_s;
   if (at !== undefined && live.pictureTime_s !== null) return 1e3 * Math.abs(at - live.pictureTime_s);
-  return live.pictureAgeMs + performance.now() - live.pictureArrivedMs;
+  return live.pictureAgeMs + performance.now() - live.pictureSentMs;
 }
 
 /** Show no picture until one of the chosen camera comes. */
@@ -299,6 +304,11 @@ function takeOutcomes(outcomes: Outcome[]): void {
     return { ...g, outcome };
   });
   if (changed) given.value = next;
+}
+
+/** Whether a person has taken a robot out of the water: nobody waits for it. */
+export function isOut(state: Snapshot, robot: number): boolean {
+  return state.alarms.some(({ key }) => key === `${robot}:out`);
 }
 
 /** Age of a robot's state now, in ms. */

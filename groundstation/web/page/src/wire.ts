@@ -175,6 +175,7 @@ export interface Snapshot {
   mission_text: string;
   reason: string;
   allowed: OrderName[];
+  refused?: Partial<Record<OrderName, string>>; // of those: the reason for which it would be refused now
   preflight: { robot: number; text: string }[];
   stop: boolean;
   alarms: Alarm[];
@@ -257,7 +258,7 @@ export type Frame =
   | { k: "hello"; you: number; scene: Scene; events: LogLine[] }
   | Snapshot
   | { k: "past"; states: PastState[] }
-  | { k: "picture"; stamp_ms: number; camera: string; age_ms: number; time_s: number | null; jpeg: Uint8Array<ArrayBuffer> }
+  | { k: "picture"; stamp_ms: number; clock_ms: number; camera: string; age_ms: number; time_s: number | null; jpeg: Uint8Array<ArrayBuffer> }
   | { k: "paths"; paths: PathSamples[] }
   | ({ k: "event" } & LogLine)
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }

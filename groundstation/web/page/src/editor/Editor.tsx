@@ -278,9 +278,9 @@ export function Editor() {
         </button>
       </h2>
       <p class="hint">Drag waypoints, robots' places, islands, their shores and the pool's corner on the map. Nothing here moves a robot.</p>
-      <Verdict />
       <FlyHere d={d} />
       <FlyNow d={d} />
+      <Verdict />
       <Tools d={d} />
       <h3>Path</h3>
       <PathFields d={d} />

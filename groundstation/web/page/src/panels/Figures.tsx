@@ -7,7 +7,7 @@ export function Figures({ figures }: { figures: PlanFigure[] }) {
     <table class="figures" aria-label="Figures of the plan">
       <tbody>
         {figures.map(({ what, unit, value, limit, least }) => (
-          <tr key={what}>
+          <tr key={what} class={least && value < limit - 1e-6 ? "no" : ""}>
             <th scope="row">{what}</th>
             <td>
               {value.toFixed(2)} {unit}

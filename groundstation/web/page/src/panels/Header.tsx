@@ -6,7 +6,7 @@ import { flown } from "../history";
 import { order, releaseControl, takeControl } from "../link";
 import { ask } from "../Question";
 import { mayAlarm, soundOn, toggleSound } from "../sound";
-import { browsing, connected, drawSoon, editing, ended, given, inControl, isStale, live, now, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
+import { browsing, connected, drawSoon, editing, ended, given, inControl, isOut, isStale, live, now, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
 import { themeSerial } from "./Plots";
 import { showRuns } from "./Runs";
 
@@ -57,7 +57,7 @@ function StopButton() {
   if (scene.value?.mode === "replay" || (ended.value && !moves)) return null; // there is nothing to stop
   const unheard = stopUnheard.value;
   const latched = connected.value && (state?.stop ?? false);
-  const robots = (state?.robots ?? []).filter((robot) => !state?.alarms.some(({ key }) => key === `${robot.id}:out`));
+  const robots = (state?.robots ?? []).filter((robot) => state !== null && !isOut(state, robot.id));
   const heard = robots.filter((robot) => !isStale(robot, live.sentMs));
   const silent = now.value >= 0 ? robots.length - heard.length : 0; // ages go on
   const confirmed = latched && heard.length > 0 && heard.every((robot) => robot.state?.mode === "STOPPED");

@@ -6,7 +6,7 @@ import { ChosenPlaces } from "./ChosenPlaces";
 import { choosePlaces, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
 import { numbers, robotNames, together } from "../robot/names";
-import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
+import { connected, ended, type Given as Request, given, inControl, isOut, isStale, live, now, scene, shown, stopUnheard, takes, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
 interface Button {
@@ -40,12 +40,14 @@ function whyNot(state: Snapshot, button: Button): string {
   if (!connected.value) return "no connection to the station";
   if (!inControl.value) return "you are watching: take control first";
   if (!state.allowed.includes(button.order) || idle(button.order, state)) return `not possible while ${state.mission_text}`;
+  const refused = state.refused?.[button.order];
+  if (refused !== undefined) return refused;
   if (button.checked && state.preflight.length > 0) return "preflight is not complete";
   return "";
 }
 
 function Preflight({ state }: { state: Snapshot }) {
-  const robots = scene.value?.robots ?? [];
+  const robots = (scene.value?.robots ?? []).filter(({ id }) => !isOut(state, id));
   const needed = ["WAITING", "LOADING", "ARMING", ...OVER].includes(state.mission);
   if (!needed) return null;
   const reasons = new Map<number, string[]>();
@@ -127,12 +129,13 @@ function Unheard() {
 function Confirmations({ state }: { state: Snapshot }) {
   now.value; // who is no longer heard confirms nothing
   const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.sentMs);
-  const waiting = state.robots.filter((robot) => !stopped(robot));
+  const robots = state.robots.filter((robot) => !isOut(state, robot.id) || !isStale(robot, live.sentMs));
+  const waiting = robots.filter((robot) => !stopped(robot));
   return (
     <div class="stopped" role="alert">
       <h3>Emergency stop</h3>
       <ul>
-        {[...waiting, ...state.robots.filter(stopped)].map((robot) => {
+        {[...waiting, ...robots.filter(stopped)].map((robot) => {
           const done = stopped(robot);
           const once = robot.state?.mode === "STOPPED";
           return (
@@ -234,7 +237,7 @@ function OrderButton({ button, state }: { button: Button; state: Snapshot }) {
 /** Leads the running formation to places that are clicked on the map, or typed. */
 function GoButton({ state }: { state: Snapshot }) {
   const open = places.value !== null && placesFor.value === 0;
-  const possible = connected.value && inControl.value && state.allowed.includes("go");
+  const possible = connected.value && inControl.value && takes(state, "go");
   return (
     <button
       type="button"
@@ -242,7 +245,7 @@ function GoButton({ state }: { state: Snapshot }) {
       aria-pressed={open}
       disabled={!possible && !open}
       onClick={() => choosePlaces(!open)}
-      title={possible ? "Choose places for the formation to fly over" : "not possible now"}
+      title={possible ? "Choose places for the formation to fly over" : state.refused?.go || "not possible now"}
     >
       Go to…
     </button>
@@ -251,7 +254,7 @@ function GoButton({ state }: { state: Snapshot }) {
 
 function Go({ state }: { state: Snapshot }) {
   const chosen = placesFor.value === 0 ? places.value : null;
-  const possible = connected.value && inControl.value && state.allowed.includes("go");
+  const possible = connected.value && inControl.value && takes(state, "go");
   if (chosen === null) return null;
   const hint = chosen.length === 0 ? "Click on the map, or type: one place or more." : chosen.map(([x, y]) => `${x}, ${y} m`).join(" → ");
   return <ChosenPlaces hint={hint} text="Fly there" possible={possible} />;
@@ -282,10 +285,6 @@ export function Mission() {
   return (
     <section class="mission" aria-label="Mission">
       <h2>Mission</h2>
-      {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
-      <Folder state={state} />
-      {state.flown && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}
-      <Preflight state={state} />
       <div class="orders">
         {BUTTONS.map((button) => (
           <OrderButton key={button.order} button={button} state={state} />
@@ -303,6 +302,20 @@ export function Mission() {
       </div>
       <Go state={state} />
       <OtherFlight state={state} />
+    </section>
+  );
+}
+
+/** What is told of the mission. Below all buttons: it comes and goes, and none of them may move under a hand. */
+export function MissionNews() {
+  const state = shown.value;
+  if (state === null || scene.value?.mode === "replay" || ended.value) return null;
+  return (
+    <section class="mission" aria-label="News of the mission">
+      {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
+      <Folder state={state} />
+      {state.flown && state.flown !== scene.value?.name && <p class="hint">Path: {state.flown}</p>}
+      <Preflight state={state} />
       <Remark />
       <Given />
     </section>

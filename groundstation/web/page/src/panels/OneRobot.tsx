@@ -7,7 +7,7 @@ import { Motion } from "./Tiles";
 import { ChosenPlaces } from "./ChosenPlaces";
 import { choosePlaces, places, placesFor } from "../pool/places";
 import { driven, hold, letGo, pace, startDriving, stopDriving } from "../robot/drive";
-import { also, connected, inControl, scene, selected, shown, undriven } from "../store";
+import { also, connected, inControl, isOut, isStale, live, scene, selected, shown, undriven } from "../store";
 import type { OrderName, Snapshot } from "../wire";
 
 const FLIES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
@@ -84,12 +84,17 @@ function Send({ robot, possible }: { robot: number; possible: boolean }) {
 function Several({ state, ids }: { state: Snapshot; ids: number[] }) {
   const possible = connected.value && inControl.value;
   const fit = (modes: string[]) => ids.filter((id) => modes.includes(state.robots.find((robot) => robot.id === id)?.state?.mode ?? ""));
+  /** Whether no other robot flies: then it is asked of the fleet, which cannot be left by its last robot. */
+  const whole = (name: OrderName) => {
+    const modes = name === "hold" ? ["TRACKING"] : FLIES;
+    return name !== "arm" && state.allowed.includes(name) && !state.robots.some(({ id, state: told }) => !ids.includes(id) && modes.includes(told?.mode ?? ""));
+  };
   return (
     <section class="one-robot" aria-label={`Robots ${ids.join(", ")}`}>
       <h2>Robots {ids.join(", ")}</h2>
       <div class="orders">
         {ORDERS.map(({ order: name, text, modes }) => (
-          <button key={name} type="button" class="order" disabled={!possible || fit(modes).length === 0} onClick={() => fit(modes).forEach((id) => order(name, [], id))}>
+          <button key={name} type="button" class="order" disabled={!possible || fit(modes).length === 0} onClick={() => (whole(name) ? order(name) : fit(modes).forEach((id) => order(name, [], id)))}>
             {text} these {ids.length}
           </button>
         ))}
@@ -109,7 +114,8 @@ export function OneRobot() {
   const flies = possible && FLIES.includes(mode);
   const led = state.led.find((found) => found.robot === robot.id);
   const drives = driven.value === robot.id;
-  const out = state.alarms.some(({ key }) => key === `${robot.id}:out`);
+  const out = isOut(state, robot.id);
+  const powered = FLIES.includes(mode) && !isStale(robot, live.sentMs);
   return (
     <section class="one-robot" aria-label={`Robot ${robot.id} alone`}>
       <h2>Robot {robot.id} alone</h2>
@@ -132,9 +138,9 @@ export function OneRobot() {
         <button
           type="button"
           class="order"
-          disabled={!possible || out}
+          disabled={!possible || out || powered}
           onClick={() => order("out", [], robot.id)}
-          title="A person has taken it out of the water: nobody keeps clear of it from now on, and no run counts on it"
+          title={powered ? "disarm it first" : "A person has taken it out of the water: nobody keeps clear of it from now on, and no run counts on it"}
         >
           {robot.id} is out of the water
         </button>

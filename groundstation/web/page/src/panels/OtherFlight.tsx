@@ -5,7 +5,7 @@ import { computed, effect, type Signal, signal } from "@preact/signals";
 import { nextSerial, order, say } from "../link";
 import { SHAPES } from "../editor/model";
 import { Figures } from "./Figures";
-import { connected, drafted, drawSoon, ended, inControl, scene, shown } from "../store";
+import { connected, drafted, drawSoon, ended, inControl, scene, shown, takes } from "../store";
 import type { Snapshot } from "../wire";
 
 type What = "formation" | "path";
@@ -60,8 +60,8 @@ function show(what: "" | What): void {
 /** Opens the panel; what it does in flight needs a hold, says its title. */
 export function OtherFlightButton({ what, text, title, state }: { what: What; text: string; title: string; state: Snapshot }) {
   const mine = connected.value && inControl.value;
-  const possible = mine && state.allowed.includes(what);
-  const why = what === "path" && mine && state.allowed.includes("hold") ? "not under way: Hold first" : "not possible now";
+  const possible = mine && takes(state, what);
+  const why = what === "path" && mine && state.allowed.includes("hold") ? "not under way: Hold first" : (state.refused?.[what] ?? "not possible now");
   const open = drafting.value === what;
   return (
     <button type="button" class={`order ${what}`} aria-pressed={open} disabled={!possible && !open} onClick={() => show(open ? "" : what)} title={possible ? title : why}>
@@ -184,7 +184,7 @@ function PathFields() {
 export function OtherFlight({ state }: { state: Snapshot }) {
   const what = drafting.value;
   if (what === "") return null;
-  const possible = connected.value && inControl.value && state.allowed.includes(what);
+  const possible = connected.value && inControl.value && takes(state, what);
   const rests = AT_REST.includes(state.mission);
   const noun = what === "path" ? "path" : "form";
   return (
@@ -198,7 +198,6 @@ export function OtherFlight({ state }: { state: Snapshot }) {
       }}
     >
       {what === "path" ? <PathFields /> : <FormFields />}
-      <Answer what={what} />
       <div class="orders">
         <button type="submit" class="order start" disabled={!possible || !drafted.value?.ok || drafted.value.n !== question.value} title={rests ? "nobody moves before Start" : ""}>
           {rests ? `Take this ${noun}` : `Fly this ${noun}`}
@@ -207,6 +206,7 @@ export function OtherFlight({ state }: { state: Snapshot }) {
           Cancel
         </button>
       </div>
+      <Answer what={what} />
       {rests && <p class="hint">Start flies it, from where the robots are now.</p>}
     </form>
   );

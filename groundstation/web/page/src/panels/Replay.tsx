@@ -60,7 +60,7 @@ export function Replay() {
             style={`left: ${(100 * line.time_s) / end_s}%`}
             title={`${moment(line.time_s)} ${line.source}: ${line.text}`}
             aria-label={`To ${moment(line.time_s)}: ${line.source}: ${line.text}`}
-            onClick={() => say({ kind: "seek", time_s: line.time_s })}
+            onClick={() => say({ kind: "seek", time_s: Math.max(0, line.time_s) })}
           />
         ))}
       </div>

@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { liveAddress, reachable, state, type Pixel, type State } from "./api";
+import { liveAddress, reachable, state, streaming, type Pixel, type State } from "./api";
 import { LensOverlay } from "./Lens";
 import { draggedCorner, MaskOverlay, maskClick, maskDrag } from "./Masks";
 import { SurveyOverlay, surveyClick, surveyDrag } from "./Survey";
@@ -82,7 +82,7 @@ export function Picture() {
   const pointing = step.value === "Survey" || step.value === "Masks";
   const drag = step.value === "Survey" ? surveyDrag : maskDrag;
   const click = step.value === "Survey" ? surveyClick : maskClick;
-  const lost = !reachable.value || s.trouble !== "";
+  const trouble = !reachable.value ? "no answer" : streaming.value ? s.trouble : "not live: the picture does not come";
   const move = (event: PointerEvent) => {
     pointer.value = pixelOf(event, view.current!, s.size_px);
     if (held.value !== null) draggedCorner.value = { id: held.value, at: pointer.value };
@@ -92,9 +92,9 @@ export function Picture() {
     draggedCorner.value = null;
   };
   return (
-    <section class={lost ? "view lost" : "view"} aria-label="Live picture">
+    <section class={trouble !== "" ? "view lost" : "view"} aria-label="Live picture">
       <div class="frame" style={`aspect-ratio: ${width} / ${height}`}>
-        <img ref={image} src={liveAddress} alt="What the camera sees now" />
+        <img ref={image} src={liveAddress.value} alt="What the camera sees now" />
         <svg
           ref={view}
           viewBox={`-0.5 -0.5 ${width} ${height}`}
@@ -119,9 +119,9 @@ export function Picture() {
         >
           <Overlay s={s} />
         </svg>
-        {lost && (
+        {trouble !== "" && (
           <p class="trouble" role="alert">
-            {reachable.value ? s.trouble : "no answer"}
+            {trouble}
           </p>
         )}
       </div>

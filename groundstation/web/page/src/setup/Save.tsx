@@ -7,7 +7,7 @@ import { ask, state } from "./api";
 const lines = signal<string[]>([]);
 
 async function look(): Promise<void> {
-  lines.value = (await ask<{ lines: string[] }>("difference"))?.lines ?? [];
+  lines.value = (await ask<{ lines: string[] }>("difference", {}, true))?.lines ?? [];
 }
 
 const kind = (line: string) => (line.startsWith("@@") ? "at" : line.startsWith("+") ? "plus" : line.startsWith("-") ? "minus" : "");

@@ -3,6 +3,7 @@
 import { signal } from "@preact/signals";
 import { ask } from "./api";
 
+const TOLD_WITHIN_MS = 6000; // the program tells within 5 s what it has reached
 const said = signal("");
 let asked = false; // a stop is under way; a second one would tell nothing new
 
@@ -10,7 +11,12 @@ export async function stop(): Promise<void> {
   if (asked) return;
   asked = true;
   said.value = "emergency stop: asked";
+  const late = setTimeout(() => {
+    said.value = "emergency stop: no answer, press again, or run groundstation stop";
+    asked = false;
+  }, TOLD_WITHIN_MS);
   const answer = await ask<string>("stop");
+  clearTimeout(late);
   said.value = answer ?? "emergency stop: NOT HEARD, press again, or run groundstation stop";
   asked = false;
 }

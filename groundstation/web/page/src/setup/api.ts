@@ -1,6 +1,6 @@
 /** What the page of `localizer setup` knows, and how it asks: the state is fetched, requests are posted. localizer/setup/session.py. */
 
-import { signal } from "@preact/signals";
+import { computed, signal } from "@preact/signals";
 
 export type Pixel = [number, number];
 export type Place = [number, number, number];
@@ -56,6 +56,7 @@ export interface State {
   experiment: string;
   source: string;
   trouble: string;
+  streams: boolean; // this page is being sent the picture
   said: string[];
   size_px: [number, number];
   rate: Verdict;
@@ -84,6 +85,7 @@ export interface State {
 
 const PERIOD_MS = 300;
 const ANSWERS_WITHIN_MS = 3000; // a state; later, what is shown is old
+const STREAM_AGAIN_MS = 3000; // without the picture, after which it is asked for again
 const key = new URLSearchParams(location.hash.slice(1)).get("key") ?? "";
 addEventListener("hashchange", () => location.reload()); // the printed address, put into a tab that was open without its key
 const page = crypto.randomUUID();
@@ -91,14 +93,24 @@ const page = crypto.randomUUID();
 export const state = signal<State | null>(null);
 export const problem = signal(""); // of the last request, or of the connection
 export const reachable = signal(true);
-export const liveAddress = `live?key=${encodeURIComponent(key)}`;
+export const streaming = signal(true); // this page is being sent the picture
+const streamNumber = signal(0); // an image whose stream has ended keeps its last picture, and no browser says so: another one is asked for
+export const liveAddress = computed(() => `live?key=${encodeURIComponent(key)}&page=${page}&stream=${streamNumber.value}`);
+let streamAskedAtMs = performance.now();
 
 async function look(): Promise<void> {
   try {
     const answer = await fetch(`state?page=${page}`, { headers: { "x-key": key }, signal: AbortSignal.timeout(ANSWERS_WITHIN_MS) });
     if (!answer.ok) return lose(await answer.text());
-    state.value = (await answer.json()) as State;
-    if (!reachable.peek()) problem.value = ""; // of the connection
+    const [told, isBack] = [(await answer.json()) as State, !reachable.peek()];
+    const isMissing = !told.streams && performance.now() - streamAskedAtMs > STREAM_AGAIN_MS;
+    if (isMissing || told.streams) streaming.value = told.streams;
+    if (isMissing || isBack) {
+      streamAskedAtMs = performance.now();
+      streamNumber.value += 1;
+    }
+    if (isBack) problem.value = ""; // of the connection
+    state.value = told;
     reachable.value = true;
   } catch {
     lose("localizer setup does not answer: is it running? What was done is kept there, not in this page.");
@@ -117,8 +129,9 @@ export async function watch(): Promise<void> {
   }
 }
 
-/** Ask for something; undefined when it was refused, which `problem` then tells. */
-export async function ask<T = unknown>(name: string, given: object = {}): Promise<T | undefined> {
+/** Ask for something; undefined when it was refused, which `problem` then tells. What a person has not asked for, `byItself`, leaves
+ * the problem of the last request where it is. */
+export async function ask<T = unknown>(name: string, given: object = {}, byItself = false): Promise<T | undefined> {
   try {
     const answer = await fetch("do", {
       method: "POST",
@@ -127,7 +140,7 @@ export async function ask<T = unknown>(name: string, given: object = {}): Promis
     });
     if (!answer.ok) throw new Error(await answer.text());
     const told = (await answer.json()) as { problem: string; found?: T };
-    problem.value = told.problem;
+    if (told.problem !== "" || !byItself) problem.value = told.problem;
     await look();
     return told.problem ? undefined : told.found;
   } catch (error) {

@@ -62,6 +62,7 @@ class SingleObjectTracker:
         return self._pose.copy(), peak
 
     def _turn(self, picture: Pixels) -> None:
+        """Follow the heading by the shift of the picture's rings around the object."""
         turns, peaks = self._turn_filter.detect(_ONE, self._rings(picture))
         if peaks[0] > _LEAST_TURN_PEAK:
             turned_rad = turns[0, 0] * 2.0 * np.pi / self._sampler.angles
