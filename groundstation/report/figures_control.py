@@ -82,7 +82,7 @@ def pulses(series: Series) -> TimePlot:
 
     band = (float(dead.min()), float(dead.max()))
     shown = list(series.robots.items())[:MOST_PULSE_PANELS]
-    return TimePlot([Panel(f"robot {robot} [µs]", lines(r), least=100.0, band=band) for robot, r in shown])
+    return TimePlot([Panel(f"robot {robot}, pulses [µs]", lines(r), least=100.0, band=band) for robot, r in shown])
 
 
 def disturbance(series: Series) -> TimePlot:

@@ -105,8 +105,8 @@ def plots(runs: Sequence[ComparedRun]) -> list[tuple[str, str, TimePlot]]:
     """Title, caption and plot: errors over time, run over run, of robots and pairs that several runs have."""
     robots = _shared([set(run.series.robots) for run in runs])
     pairs = _shared([set(combinations(run.series.robots, 2)) for run in runs])
-    tracking = [Panel(f"robot {r} [mm]", _lines(runs, (r,)), least=5.0) for r in robots]
-    formation = [Panel(f"{a}–{b} [mm]", _lines(runs, (a, b)), least=5.0) for a, b in pairs]
+    tracking = [Panel(f"robot {r}, error [mm]", _lines(runs, (r,)), least=5.0) for r in robots]
+    formation = [Panel(f"{a}–{b}, error [mm]", _lines(runs, (a, b)), least=5.0) for a, b in pairs]
     thrust = [_surge(runs, robot) for robot in robots]
     groups = [
         ("Tracking error", "Distance of each robot from its reference.", tracking),
@@ -137,4 +137,4 @@ def _surge(runs: Sequence[ComparedRun], robot: int) -> Panel:
     states_of_runs = [(i, run, run.series.robots[robot].states) for i, run in enumerate(runs) if robot in run.series.robots]
     surge_of_runs = [(i, run, states, states.control(lambda c: c.wrench)[:, 0]) for i, run, states in states_of_runs]
     lines = [Curve(run.name, states.time_s, surge, colour(i)) for i, run, states, surge in surge_of_runs]
-    return Panel(f"robot {robot} [N]", lines, least=0.1)
+    return Panel(f"robot {robot}, surge [N]", lines, least=0.1)

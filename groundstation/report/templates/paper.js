@@ -280,6 +280,7 @@
   /** Save a drawing, or a picture that is SVG, under a name. `what`: pdf-1, svg-2, png-1, csv, ... */
   async function save(drawing, name, what) {
     const [format, columns] = what.split("-");
+    name = name.replace(/[^\w-]+/g, "-").replace(/-$/, ""); // LaTeX takes no other
     if (format === "csv") return download(dataOf(drawing), "text/csv", `${name}.csv`);
     const placed = drawing instanceof SVGElement ? ofSvg(drawing, Number(columns)) : drawing.rows ? bars(drawing, Number(columns)) : layout(drawing, Number(columns));
     const file = `${name}-${columns}col.${format}`;
@@ -315,9 +316,11 @@
     const row = (one) => [...one.cells].map((cell) => (cell.colSpan > 1 ? `\\multicolumn{${cell.colSpan}}{c}{${said(cell)}}` : said(cell))).join(" & ") + " \\\\";
     const [head, body] = [[...(table.tHead?.rows ?? [])], [...table.tBodies].flatMap((part) => [...part.rows])];
     const count = Math.max(...[...head, ...body].map((one) => cells(one).length));
+    const cellsOf = (k) => body.map((one) => one.cells[k]).filter((cell) => cell), isLong = (k) => cellsOf(k).some((cell) => cell.innerText.length > LONG);
+    const long = Array.from({ length: count }, (_, k) => isLong(k)).filter((one) => one).length;
     const column = (k) => {
-      const all = body.map((one) => one.cells[k]).filter((cell) => cell);
-      if (all.some((cell) => cell.innerText.length > LONG)) return "p{0.6\\linewidth}";
+      const all = cellsOf(k);
+      if (isLong(k)) return `p{${num(0.6 / long)}\\linewidth}`;
       return all.every((cell) => /left|start/.test(getComputedStyle(cell).textAlign)) ? "l" : "r";
     };
     return ["% \\usepackage{booktabs}", `\\begin{tabular}{${Array.from({ length: count }, (_, k) => column(k)).join("")}}`, "\\toprule", ...head.map(row), "\\midrule", ...body.map(row), "\\bottomrule", "\\end{tabular}", ""].join("\n");
