@@ -277,7 +277,7 @@ def test_a_run_that_is_ended_on_the_page_is_shown_there_with_its_verdict_and_flo
     expect(opened.value.locator("h1")).to_contain_text("Two robots in a line on a circle")
     button(page, "Fly again").click()
     expect(end).to_have_count(0)
-    expect(page.get_by_label("Mission", exact=True)).to_contain_text("robot 1 not heard")  # it waits for its robots again
+    expect(page.get_by_label("News of the mission")).to_contain_text("robot 1 not heard")  # it waits for its robots again
     assert station.process.poll() is None
     button(page, "End run").click()
     button(page, "Close").click()
