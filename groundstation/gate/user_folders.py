@@ -2,12 +2,15 @@
 
 A station puts its doors into each of these folders, and a terminal looks into each: the environment of a desktop, of `su` and
 of cron differ, and the user's folder in /run goes when the last login ends. $SHOAL_RUNTIME_DIR confines both to one folder;
-one that cannot be used counts for nothing.
+one that cannot be used counts for nothing, and a warning says so: an emergency stop that ends there would reach nobody.
 """
 
+import functools
 import os
 import stat
 from pathlib import Path
+
+from shoal.runtime.runtime import log
 
 RUN, TEMPORARY = Path("/run/user"), Path("/tmp")  # the same for every login
 ONLY = "SHOAL_RUNTIME_DIR"
@@ -19,7 +22,14 @@ def user_folders(make: bool = False) -> tuple[Path, ...]:
     only = os.environ.get(ONLY, "")
     if only and Path(only).is_absolute() and is_private(Path(only)):
         return (Path(only),)
+    if only:
+        _warn_of(only)
     return tuple(folder for folder in _candidates() if is_private(folder, make))
+
+
+@functools.cache
+def _warn_of(folder: str) -> None:
+    log.warning("%s = %s counts for nothing: it is no absolute path of a folder of yours with mode 700", ONLY, folder)
 
 
 def _candidates() -> tuple[Path, ...]:

@@ -188,6 +188,7 @@ def test_stop_from_any_login(machine: Machine, station: StationProcess, login: d
     before = station.stops()
     code, out, err = machine.stop("stop", login=login)
     assert (code, station.stops()) == (0, before + 1), out + err
+    assert ("counts for nothing" in err) == ("SHOAL_RUNTIME_DIR" in login)
     assert out.splitlines() == [
         f"station {station.address} (pool, process {station.process.pid})",
         "  robot 1: confirmed",

@@ -25,7 +25,7 @@ from groundstation.mission.state_machine import (
     MissionState,
     rejection_reason,
 )
-from groundstation.planning.segment import PlanSegment
+from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import preflight
 from shoal.messages.messages import ALONE, CommandKind, Mode, Outcome, Progress
 from tests.groundstation.mission.simulated_fleet import STEP_NS, SimulatedFleet, SimulatedRobot, armed
@@ -268,6 +268,9 @@ class Invariants:
                 self.flown_s = max(self.flown_s, robot.clock.reached_s)
         if plans.progress_s == 0.0 and mission.state not in JOINING | IN_FLIGHT | {MissionState.PAUSED}:  # a new plan
             self.progress_s = self.flown_s = 0.0
+        rests = self.joined or mission.state in JOINING | {MissionState.PAUSED}
+        if rests and plans.progress_s > self.flown_s and self.away_m(plans.progress_s) <= self.away_m(self.flown_s):
+            self.flown_s = plans.progress_s  # robots go on from where they have come to rest
         if mission.state in IN_FLIGHT | {MissionState.PAUSED}:
             leap_s = plans.progress_s - self.progress_s
             most_s = max(JUMP_S, JOIN_WITHIN_S) if self.joined else JUMP_S  # a late one begins where the others are
@@ -287,6 +290,13 @@ class Invariants:
             assert self.apart_s <= BEHIND_S, f"PROGRESS: {plans.progress_s:.2f} s, and the slowest is at {slowest_s:.2f} s"
         else:
             self.apart_s = 0.0
+
+    def away_m(self, progress_s: float) -> float:
+        """The largest true distance of a robot of the formation from its place at a progress."""
+        trajectories = self.pool.mission.roster.trajectories(self.pool.mission.segment)
+        places = {robot: sample(flown, np.array([progress_s])).eta[0] for robot, flown in trajectories.items()}
+        away_m = [np.linalg.norm(place[:3] - self.pool.robots[robot].eta[:3]) for robot, place in places.items()]
+        return float(max(away_m, default=0.0))
 
     def flies(self, robot: SimulatedRobot, segment: PlanSegment) -> bool:
         """True if a robot has loaded its trajectory of the mission's plan."""
