@@ -53,7 +53,7 @@ def test_robots_hold_while_the_localizer_is_blind_and_go_on_when_it_sees_again()
     reached_s = pool.mission.plans.progress_s
     pool.blind = ""
     pool.until(MissionState.RUNNING, within_s=3.0)
-    assert pool.mission.plans.progress_s == pytest.approx(reached_s, abs=0.1)
+    assert reached_s <= pool.mission.plans.progress_s < reached_s + 2.0, "they go on from where they stopped"
     assert alarms(pool) == set()
 
 
