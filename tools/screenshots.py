@@ -138,7 +138,7 @@ def of_a_fleet(browser: Browser, out: str) -> None:
     showing = programs.start("groundstation", ["log", "replay", str(run), "--web", f"127.0.0.1:{port}"])
     try:
         page = opened(browser, f"http://127.0.0.1:{port}/", DESK)
-        page.get_by_role("button", name="Play").click()
+        page.get_by_role("button", name="Play", exact=True).click()
         flown(page, 12)
         keep(page, "fleet")
         page.context.close()
