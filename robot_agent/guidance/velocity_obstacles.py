@@ -82,7 +82,6 @@ class Traffic(NamedTuple):
     keep_m: Floats  # (k,) distances to stay away; 0: it is not in the way
     yields: Bools  # (k,) robots that follow this rule too, and of which each hears the other
     way: ComplexTable  # (k, WAY_STEPS) ways that they mean to go, WAY_STEP_S apart, from where they are
-    error_m: Floats  # (k,) by which they are off those; infinity of what keeps to none
 
     def joined(self, other: "Traffic") -> "Traffic":
         """Return both together."""
@@ -95,8 +94,7 @@ def straight_ways(velocity: Complexes) -> ComplexTable:
 
 
 NOBODY = Traffic(
-    np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool),
-    straight_ways(np.zeros(0, np.complex128)), np.zeros(0),
+    np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool), straight_ways(np.zeros(0, complex))
 )  # fmt: skip
 
 
@@ -306,9 +304,7 @@ def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, room_m: floa
     is_urgent = np.array([other.plan.urgent for other in predictions.neighbours], bool)
     in_way = (np.abs(predictions.depth_now - depth_m) < keep_m) & ~(urgent & yields & ~is_urgent)
     distance_m = np.where(in_way, keep_m + room_m, 0.0)
-    told_m = np.array([other.plan.tracking_error_m for other in predictions.neighbours], np.float64)
-    error_m = np.where(yields & (told_m >= 0.0), told_m, np.inf)
-    return Traffic(predictions.place_now, predictions.intended_velocity, distance_m, yields, predictions.intended_way, error_m)
+    return Traffic(predictions.place_now, predictions.intended_velocity, distance_m, yields, predictions.intended_way)
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, agility: Agility, now_ns: int) -> Traffic:
@@ -320,8 +316,7 @@ def obstacle_traffic(obstacle: Obstacle, place: complex, agility: Agility, now_n
     count = len(obstacle.edge_points)
     velocity = np.full(count, obstacle.velocity)
     return Traffic(
-        obstacle.edge_points + moved, velocity, np.full(count, keep_m), np.zeros(count, bool), straight_ways(velocity),
-        np.full(count, np.inf),
+        obstacle.edge_points + moved, velocity, np.full(count, keep_m), np.zeros(count, bool), straight_ways(velocity)
     )  # fmt: skip
 
 
@@ -400,7 +395,7 @@ class GiveWay:
         if self._point is None:
             self._point, self._velocity = begin, speed
         wanted = homing_velocity(begin, speed, self._point, self.agility)
-        course = self._avoiding_velocity(reference, place, wanted, traffic, abs(place - begin) if on_path else math.inf)
+        course = self._avoiding_velocity(reference, place, wanted, traffic)
         if on_path and course is None:  # the path itself bends away
             self.reset()
             return reference
@@ -431,20 +426,15 @@ class GiveWay:
         set_horizons(place, wanted, self.agility.look_ahead_s, traffic, within_s)
         return within_s
 
-    def _avoiding_velocity(
-        self, reference: Reference, place: complex, wanted: complex, traffic: Traffic, off_m: float
-    ) -> complex | None:
-        """Velocity that avoids the traffic in the way of a robot `off_m` from its path; None if none is. Paths may have been
-        planned 2R apart: two robots that keep to theirs need no more room than they are off them."""
+    def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
+        """Velocity that avoids the traffic in the way; None if none is."""
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
         assert self._point is not None
         within_s = self._horizons(place, wanted, traffic)
         ahead, meets = np.empty(self._look_steps, np.complex128), np.empty(len(within_s), bool)
         look_ahead(reference.eta, reference.velocity, self._times_s, self._point, self.agility, ahead)
-        spare_m = np.maximum(self.agility.room_m - off_m - traffic.error_m, 0.0)
-        near = traffic._replace(keep_m=np.maximum(traffic.keep_m - spare_m, 0.0))
-        if not find_meetings(place, ahead, near, within_s, meets):
+        if not find_meetings(place, ahead, traffic, within_s, meets):
             return None
         own_mps = math.hypot(*reference.velocity[0, :2].tolist())
         unhurried_mps = own_mps + max(CATCH_UP * own_mps, UNHURRIED_MPS)

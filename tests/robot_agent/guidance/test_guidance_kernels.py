@@ -98,7 +98,7 @@ def scene(seed: int) -> tuple[np.random.Generator, complex, complex, Traffic, Ar
     place, velocity = places(random, 0.2, 2).tolist()
     keep_m, yields = random.uniform(0.1, 0.9, 7) * (random.random(7) < 0.9), random.random(7) < 0.6
     there, going, way = places(random, 1.0, 7), places(random, 0.1, 7), np.reshape(places(random, 0.3, 7 * WAY_STEPS), (7, -1))
-    traffic = Traffic(there, going, keep_m, yields, way, np.zeros(7))
+    traffic = Traffic(there, going, keep_m, yields, way)
     return random, place, velocity, traffic, random.uniform(2.0, 8.0, 7) * (random.random(7) < 0.8)
 
 
@@ -184,7 +184,7 @@ def test_the_way_out_changes_to_its_course_steadily(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(40))
 def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
     random, place, velocity, traffic, within_s = scene(seed)
-    wanted, (there, going, keep_m, sided, way, _) = 0.1 + 0.02j, traffic
+    wanted, (there, going, keep_m, sided, way) = 0.1 + 0.02j, traffic
     ahead = np.asarray(wanted * LOOKS_S, np.complex128)
     room, islands, islands_keep_m = (1.0, 0.6), places(random, 1.0, 2), np.array([0.3, 0.2])
     meets = np.empty(7, bool)

@@ -25,9 +25,8 @@ TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(26)])
 
 
 def one(place: complex, velocity: complex, keep_m: float, sided: bool) -> Traffic:
-    """Traffic that keeps to no way that it tells."""
-    going, error_m = np.array([velocity], complex), np.array([math.inf])
-    return Traffic(np.array([place], complex), going, np.array([keep_m]), np.array([sided]), straight_ways(going), error_m)
+    going = np.array([velocity], complex)
+    return Traffic(np.array([place], complex), going, np.array([keep_m]), np.array([sided]), straight_ways(going))
 
 
 class Point:
@@ -217,23 +216,6 @@ def test_robot_does_not_flee_from_one_that_comes_towards_it_and_means_to_stop(st
         if not stops and leaves:
             return
     assert stops and not leaves and abs(point.place) < 0.02
-
-
-@pytest.mark.parametrize(
-    ("apart_m", "error_m", "leaves"), [(0.62, 0.0, False), (0.62, 0.1, True), (0.62, math.inf, True), (0.5, 0.0, True)]
-)
-def test_paths_that_were_planned_apart_need_no_room_for_robots_that_keep_to_them(
-    apart_m: float, error_m: float, leaves: bool
-) -> None:
-    """Two that pass one another on parallel lines, for which 2R is enough. One that is off its path is given room."""
-    points, left = (Point(-1.5 + 0j, 1.5 + 0j, 0.1), Point(1.5 + 1j * apart_m, -1.5 + 1j * apart_m, 0.1)), False
-    for k in range(300):
-        traffic = [other.traffic._replace(error_m=np.full(len(other.traffic.place), error_m)) for other in reversed(points)]
-        for point, other in zip(points, traffic, strict=True):
-            left |= point.step(k * PERIOD_S, other)
-        for point in points:
-            point.move()
-    assert left == leaves
 
 
 def plan(urgent: bool = False, depth_m: float = 0.3) -> Plan:
