@@ -6,8 +6,9 @@ follows a point. The point is on the reference while that is free, and takes ano
 obstacles, Fiorini and Shiller 1998, with a side rule as in COLREG):
 
 * A velocity is free if it passes every robot and obstacle by 2R + `room_m` within `look_ahead_s`, if they move on as told.
-* The path is left if its straight line is not free, and its way, bends and stops included, meets a way that another robot has
-  told.
+* The path is left if its straight line is not free, and its way, bends and stops included, meets another robot: on the way
+  that it has told if that ends at rest, else straight on. (A robot that meets others gives up a way that only turns: with
+  those counted too, robots of the scene `swap` went twice as far around.)
 * Of two robots that cross, the one that has the other to starboard gives way, and the other counts on it for half of that
   time. A robot that is overtaken goes on as before; so does one with an urgent task, among robots without one.
 * Two robots that meet leave one another to port (they keep to starboard), unless they are already well on the other side.
@@ -304,7 +305,10 @@ def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, room_m: floa
     is_urgent = np.array([other.plan.urgent for other in predictions.neighbours], bool)
     in_way = (np.abs(predictions.depth_now - depth_m) < keep_m) & ~(urgent & yields & ~is_urgent)
     distance_m = np.where(in_way, keep_m + room_m, 0.0)
-    return Traffic(predictions.place_now, predictions.intended_velocity, distance_m, yields, predictions.intended_way)
+    intended, rests_m = predictions.intended_way, SLIGHTEST_MPS * WAY_STEP_S
+    rests = np.abs(intended[:, -1] - intended[:, -2]) < rests_m  # at its end
+    way = np.where(rests[:, None], intended, straight_ways(predictions.intended_velocity))
+    return Traffic(predictions.place_now, predictions.intended_velocity, distance_m, yields, way)
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, agility: Agility, now_ns: int) -> Traffic:

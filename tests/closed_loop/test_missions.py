@@ -95,7 +95,7 @@ def test_a_robot_whose_clock_leaps_makes_all_hold_and_they_go_on_in_step() -> No
     assert pool.mission.reason == "robot 2 is 0.8 s ahead of the others"
     pool.until(MissionState.RUNNING, within_s=4.0)
     reached = [robot.states[-1].trajectory_s for robot in pool.robots]
-    assert np.ptp(reached) < 1e-9 and abs(reached[0] - reached_s) < 1.0
+    assert np.ptp(reached) < 1e-9 and 0.0 <= reached[0] - reached_s < 2.0  # 0.3 s until it was noticed, and the way to rest
     pool.run(1.0)
     assert pool.mission.state is MissionState.RUNNING
 

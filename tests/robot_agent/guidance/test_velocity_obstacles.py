@@ -239,6 +239,17 @@ def test_a_robot_is_where_its_plan_says_it_is_now_and_goes_where_it_means_to() -
     assert traffic.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M])
 
 
+@pytest.mark.parametrize("rests", [True, False])
+def test_a_way_that_a_robot_tells_counts_if_it_comes_to_rest_there(rests: bool) -> None:
+    intended = plan()
+    along_m, reference = 0.1 * 0.05 * np.arange(51, dtype=np.float64), np.zeros((51, 4))
+    reference[:, 0], reference[:, 2] = 1.0 - np.minimum(along_m, 0.15), 0.3
+    reference[:, 1] = 0.0 if rests else np.maximum(along_m - 0.15, 0.0)
+    way = met(Neighbour(2, 0, replace(intended, eta_reference=reference), True)).way[0]
+    straight = -0.1 * WAY_STEP_S * np.arange(1, len(way) + 1)
+    assert way == pytest.approx(np.maximum(straight, -0.15) if rests else straight)
+
+
 @pytest.mark.parametrize(("silent_s", "more_m"), [(0.0, 0.0), (3.0, 0.3), (30.0, 0.5), (57.0, 0.3), (60.0, 0.0), (1e5, 0.0)])
 def test_space_around_a_silent_robot_grows_and_goes_again_but_the_robot_stays(silent_s: float, more_m: float) -> None:
     traffic = met(Neighbour(2, 0, plan(), False), round(silent_s * 1e9))
