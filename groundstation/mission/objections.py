@@ -1,6 +1,6 @@
 """Reasons to refuse an operator's request in a state that allows it: a table by order. Pure."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -53,12 +53,16 @@ class RequestContext:
 
 def objection(order: CommandKind, context: RequestContext) -> str:
     """Reason against a request in a state that allows it; empty if there is none."""
-    return next((reason for check in OBJECTIONS.get(order, ()) if (reason := check(context))), "")
+    return _first(OBJECTIONS.get(order, ()), context)
 
 
 def standing_objection(order: CommandKind, context: RequestContext) -> str:
     """Reason against a request whatever its places, form or experiment; empty if there is none."""
-    checks = (check for check in OBJECTIONS.get(order, ()) if check not in OF_DETAILS)
+    return _first((check for check in OBJECTIONS.get(order, ()) if check not in OF_DETAILS), context)
+
+
+def _first(checks: "Iterable[Check]", context: RequestContext) -> str:
+    """The reason of the first check that has one, or ""."""
     return next((reason for check in checks if (reason := check(context))), "")
 
 

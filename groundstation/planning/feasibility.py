@@ -9,14 +9,12 @@ import numpy as np
 from groundstation.planning.formation import NodeMotion
 from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
-from shoal.frames import Array
+from shoal.frames import Array, follows_velocity
 from shoal.messages.camera_coverage import outside_m
 from shoal.messages.messages import Trajectory
 
 PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: the tracking error of a well tracked robot
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
-# m/s and rad/s by which a pose may be off what its velocities say: robots refuse more (guidance/trajectory_check.py)
-DRIFT = np.array([0.02, 0.02, 0.02, 0.5])
 
 
 OutOfTime = Callable[[], bool]  # True when the caller waits no longer for a plan
@@ -112,10 +110,8 @@ def robot_problems(
 
 def _leaps(motion: NodeMotion, period_s: float) -> Iterator[tuple[int, str]]:
     """The first sample behind which a place, and a heading, moves otherwise than its velocities say, and by how much: no limit
-    of speed shows that."""
-    moved, velocity = np.diff(motion.eta, axis=0), motion.velocity
-    off = np.abs(moved - 0.5 * period_s * (velocity[1:] + velocity[:-1]))
-    leaps = off > period_s * (0.5 * np.abs(np.diff(velocity, axis=0)) + DRIFT)
+    of speed shows that, and robots refuse it (guidance/trajectory_check.py)."""
+    moved, leaps = np.diff(motion.eta, axis=0), ~follows_velocity(motion.eta, motion.velocity, period_s)
     for axes, what, unit in ((slice(3), "its place moves by", "m"), (slice(3, 4), "it turns by", "rad")):
         index = int(np.argmax(leaps[:, axes].any(axis=1)))
         if leaps[index, axes].any():

@@ -38,8 +38,18 @@ class LatestItemWorker(Generic[T]):
         self._newest.put(item)
 
     def work(self, item: T) -> None:
-        """Work on this item now, in the caller's thread: for callers that offer nothing."""
-        self._try(item)
+        """Work on this item now, in the caller's thread, which offers nothing then. Only the first failure in a row is logged,
+        and the first success after it."""
+        try:
+            self._handle(item)
+        except Exception as error:
+            self.failed += 1
+            if self.failed == 1:
+                log.error("%s: %s: %s; the next picture is tried", self._name, type(error).__name__, error)
+            return
+        if self.failed:
+            log.info("%s: works again, after %d pictures", self._name, self.failed)
+            self.failed = 0
 
     def close(self) -> None:
         """Finish the item under way, and end the thread."""
@@ -51,17 +61,4 @@ class LatestItemWorker(Generic[T]):
         while not self._closing.is_set():
             item = self._newest.take(SLICE_S)
             if item is not None:
-                self._try(item)
-
-    def _try(self, item: T) -> None:
-        """Handle a picture. Only the first failure in a row is logged, and the first success after it."""
-        try:
-            self._handle(item)
-        except Exception as error:
-            self.failed += 1
-            if self.failed == 1:
-                log.error("%s: %s: %s; the next picture is tried", self._name, type(error).__name__, error)
-            return
-        if self.failed:
-            log.info("%s: works again, after %d pictures", self._name, self.failed)
-            self.failed = 0
+                self.work(item)

@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from shoal.config.scene import PoolConfig
 from shoal.config.vehicle import Vehicle
+from shoal.frames import follows_velocity
 from shoal.messages.messages import Trajectory
 
 PERIOD_S = (0.001, 1.0)
 LATEST_S = 1e6  # of the first sample
 AT_SURFACE_M = 1e-6  # a path at depth 0, rounded
 OVER = 1.05  # times a limit: sampled derivatives of a smooth path overshoot by a few percent where a turn begins
-# How far a pose may be from where the velocities before and after it lead, per second of sampling period: m/s and rad/s. At
-# 0.05 s that is 1 mm and 0.025 rad; the shipped experiments' smooth paths need 0.3 um and 0.2 mrad.
-DRIFT = np.array([0.02, 0.02, 0.02, 0.5])
 # How far a velocity may be from where the accelerations before and after it lead, m/s and rad/s. A path that sets off or stops
 # all at once leaps by more, from or to rest; planned paths do that at their first and last pose.
 LEAP = np.array([0.05, 0.05, 0.05, 0.5])
@@ -50,12 +48,9 @@ def unflyable(trajectory: Trajectory | None, pool: PoolConfig, vehicle: Vehicle)
 
 def _inconsistent(trajectory: Trajectory) -> str:
     """Return the first contradiction between poses, velocities and accelerations; empty if there is none. The trapezoidal rule
-    leads from each sample to the next. Where a velocity leaps, the pose may lie anywhere between the results of the two
-    velocities."""
+    leads from each sample to the next."""
     period_s, velocity = trajectory.period_s, trajectory.velocity
-    leap = np.abs(np.diff(velocity, axis=0))
-    off = np.abs(np.diff(trajectory.eta, axis=0) - 0.5 * period_s * (velocity[1:] + velocity[:-1]))
-    where = _first(off <= period_s * (0.5 * leap + DRIFT))
+    where = _first(follows_velocity(trajectory.eta, velocity, period_s))
     if where is not None:
         k, axis = where
         name, unit = AXES[axis]
