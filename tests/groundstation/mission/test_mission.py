@@ -1065,6 +1065,31 @@ def test_an_obstacle_on_a_transfer_makes_robots_rest_and_replan(is_return: bool)
         assert plan.is_return and set(plan.trajectories) == {1, 3}
 
 
+def test_nobody_flies_home_onto_a_thing_that_lies_on_a_start() -> None:
+    """Neither when it lies there before, nor when it comes to lie there under way. When it is gone they go on."""
+    fleet = SimulatedFleet(load_experiment("pool", ("duration_s=60.0",)))
+
+    def request(order: CommandKind, state: MissionState, seconds: float = 8.0) -> None:
+        assert fleet.core.request(order, fleet.fleet, fleet.now_ns)[0] == ""
+        fleet.run(seconds)
+        assert fleet.mission.state is state, fleet.mission.reason
+
+    start = fleet.starts[1]
+    thing = ObstacleSet((1,), np.array([[start[0] + 0.1, start[1], 0.1]]))
+    fleet.run(1.0)
+    request(CommandKind.START, MissionState.RUNNING)
+    fleet.obstacles = thing
+    request(CommandKind.RETURN, MissionState.PAUSED)
+    assert "where robot 1 should come to rest" in fleet.mission.reason
+    fleet.obstacles = ObstacleSet()
+    request(CommandKind.RETURN, MissionState.RETURNING, 4.0)
+    fleet.obstacles = thing
+    fleet.run(8.0)
+    assert fleet.mission.state is MissionState.PAUSED
+    fleet.obstacles = ObstacleSet()
+    request(CommandKind.RESUME, MissionState.RETURNING)
+
+
 # --- how a run ends
 
 
