@@ -627,8 +627,9 @@ class Mission:
         if stage.order is CommandKind.DISARM and not self._dispatcher.has_sent(robot):
             return False
         view = fleet[robot]
-        counts = self._spoke(view, now_ns) or (view.heard and stage.order not in (CommandKind.DISARM, CommandKind.CLEAR_STOP))
-        return counts and stage.confirmed(view.mode, self.roster.has_loaded(self.segment, fleet, robot))
+        needs_newer_state = stage.order in (CommandKind.DISARM, CommandKind.CLEAR_STOP)
+        is_fresh = self._spoke(view, now_ns) or (view.heard and not needs_newer_state)
+        return is_fresh and stage.confirmed(view.mode, self.roster.has_loaded(self.segment, fleet, robot))
 
     def _spoke(self, view: RobotView, now_ns: int) -> bool:
         """True if a robot's newest state was sent since the mission's state began, however late it came."""

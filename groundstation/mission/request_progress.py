@@ -236,8 +236,10 @@ class RequestTracker:
     ) -> tuple[Progress, str, list[int]]:
         """Progress of a request, its reason, and the robots that it waits for."""
         if request.task is not None:
-            task, waits = request.task, request.task.progress is not Progress.DONE
-            return task.progress, task.reason if waits else "", [request.only] if waits else []
+            task = request.task
+            if task.progress is Progress.DONE:
+                return Progress.DONE, "", []
+            return task.progress, task.reason, [request.only]
         if request.order in TUNING:
             return self._gain_progress(request, mission, fleet, tuning)
         return self._mission_progress(request, mission, fleet)

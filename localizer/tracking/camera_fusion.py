@@ -265,15 +265,18 @@ def covariance_intersection(parts: Sequence[tuple[Array, Array]]) -> tuple[Array
     """Mean (3,) and covariance (3, 3) of [x, y, yaw] from those of several estimates whose errors may be correlated."""
     if len(parts) == 1:
         return parts[0]
-    first = parts[0][0]
-    weights = np.array([1.0 / np.trace(covariance[:2, :2]) for _, covariance in parts])
-    information = [w * np.linalg.inv(covariance) for w, (_, covariance) in zip(weights / weights.sum(), parts, strict=True)]
+    means = [mean for mean, _ in parts]
+    covariances = [covariance for _, covariance in parts]
+    precisions = np.array([1.0 / np.trace(covariance[:2, :2]) for covariance in covariances])  # of the place alone
+    weights = precisions / precisions.sum()
+    information = [weight * np.linalg.inv(covariance) for weight, covariance in zip(weights, covariances, strict=True)]
     covariance = np.linalg.inv(np.sum(information, axis=0))
-    pull = np.sum([part @ _difference(mean, first) for part, (mean, _) in zip(information, parts, strict=True)], axis=0)
+    first = means[0]  # the others count as differences from it, for angles cannot be averaged
+    pull = np.sum([info @ _difference(mean, first) for info, mean in zip(information, means, strict=True)], axis=0)
     mean = first + covariance @ pull
     mean[2] = wrap(float(mean[2]))
-    apart = np.array([_difference(part, mean) for part, _ in parts])
-    scatter = (weights / weights.sum() * apart.T) @ apart
+    differences = np.array([_difference(each, mean) for each in means])
+    scatter = (weights * differences.T) @ differences
     return mean, 0.5 * (covariance + covariance.T) + scatter
 
 

@@ -252,20 +252,23 @@ class FleetLocalizer:
 
     def _read(self, regions: Sequence[ImageRegion], plates_m: Array, tilts_rad: Array) -> dict[int, MarkerPose]:
         """Markers by robot in regions of the picture, those left out that lie where no robot can be."""
-        readings, markers = dict[int, MarkerPose](), self._reader.read(self.view, regions, plates_m, tilts_rad)
+        markers = self._reader.read(self.view, regions, plates_m, tilts_rad)
         for i, size in self._reader.strange_sizes.items():
             if i not in markers and self._is_lost(i):
                 self._sizes.note_strange(i, size, self._frames)
-        for i, robot_readings in markers.items():
-            inside = [r for r in robot_readings if self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
+        chosen: dict[int, MarkerPose] = {}
+        for i, readings in markers.items():
+            inside = [r for r in readings if self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
             if not inside:
                 self._outside_frames[i] = self._frames
                 continue
-            poses, near = [r.pose for r in inside], self._near_track(i, inside)
+            poses = [reading.pose for reading in inside]
             self._twins.note(i, poses, self._frames)
-            if near or not (self._twins.are_apart(poses) or self._twins.is_twin(i, self._frames)):
-                readings[i] = min(near or inside, key=lambda reading: reading.misfit)
-        return readings
+            has_twin = self._twins.are_apart(poses) or self._twins.is_twin(i, self._frames)
+            near = self._near_track(i, inside)
+            if near or not has_twin:  # of two plates with one number only that on the track is the robot's
+                chosen[i] = min(near or inside, key=lambda reading: reading.misfit)
+        return chosen
 
     def _near_track(self, robot: int, readings: Sequence[MarkerPose]) -> list[MarkerPose]:
         """Those of a robot's readings that are where it is followed to."""
@@ -325,7 +328,9 @@ class FleetLocalizer:
         robot = self._frames // _CHECK_EVERY % len(self._ids)
         view, attitude = located.views.get(robot), self._attitudes[robot]
         measured = self._tracks[robot].measured
-        if self._lean_reader is None or view is None or measured is None or robot not in located.reported or attitude is None:
+        if self._lean_reader is None or attitude is None:
+            return
+        if view is None or measured is None or robot not in located.reported:
             return
         plate = self._tracks[robot].at_row(measured.pose, self._late_s(view))
         slope_rad = self._settings.surface_slope_rad

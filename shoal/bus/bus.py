@@ -363,13 +363,16 @@ class Bus:
             return self._read(command, key, data, f"no answer within {timeout_s:g} s" if is_late else NOBODY)
 
         def reply() -> Reply:
-            reply = read(first.answer, asked_s)
-            if reply.session:
-                self._recipients[key] = reply.session
-            if recipient or not reply.session or reply.accepted:
-                return reply
+            """Wait for the answer. A process that has only said who it is gets the order again, by its name."""
+            first_reply = read(first.answer, asked_s)
+            process = first_reply.session
+            if process:
+                self._recipients[key] = process
+            is_final = recipient or not process or first_reply.accepted
+            if is_final:
+                return first_reply
             asked_again_s = time.monotonic()
-            named = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s, only_after=first.sequence)
+            named = self._ask(key, replace(command, recipient=process), stamp_ns, timeout_s, only_after=first.sequence)
             if named is None:
                 return Reply(command.robot, False, f"{command.order.name} was overtaken by a later order")
             return read(named.answer, asked_again_s)

@@ -422,12 +422,18 @@ def _simulated(probe: BoardProbe) -> bool:
 
 def _hil(probe: BoardProbe) -> Measured:
     """Measurements are the simulator's, and HEARTBEAT says so; after HIL mode they are the board's own again."""
-    is_hil = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
-    came = probe.stream(probe.motion, 0.5, lambda: _simulated(probe))
+    says_hil = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
+    measures_simulated = probe.stream(probe.motion, 0.5, lambda: _simulated(probe))
     probe.set("HIL_MODE", 0.0)
     has_left = probe.stream(probe.motion, 0.5, lambda: not (probe.computer.telemetry.hil or _simulated(probe)))
-    failed = [text for good, text in ((is_hil, "not said"), (came, "own measurements"), (has_left, "not left")) if not good]
-    return not failed, ", ".join(failed) or "entered, and left"
+    failures = []
+    if not says_hil:
+        failures.append("not said")
+    if not measures_simulated:
+        failures.append("own measurements")
+    if not has_left:
+        failures.append("not left")
+    return not failures, ", ".join(failures) or "entered, and left"
 
 
 def _hil_silence(probe: BoardProbe) -> Measured:

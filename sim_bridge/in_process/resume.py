@@ -140,17 +140,22 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
 
 
 def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> tuple[Experiment, list[str]]:
-    """The experiment that was flown, with changes, and a line for each fault that a person made and that is left out: it needs
-    a camera or a board. Raises ConfigError."""
-    faults, left_out = list[str](), list[str]()
+    """The experiment of a run with the changes, and a remark for each fault that is left out. Raises ConfigError.
+
+    Faults that a person made during the run are made again. A fault of a camera or a board is left out: a flight that is
+    resumed from a logged moment has neither.
+    """
+    file = run / "experiment.toml"
+    absent = "from a logged moment on there is none"
+    faults, remarks = list[str](), list[str]()
     for what, fault in faults_by_hand(run):
-        (faults if fault_schedule.is_among(read_what(what), fault_schedule.NUMERIC) else left_out).append(fault)
-    experiment = load_experiment(str(run / "experiment.toml"), settings, [*faults, *more_faults])
-    fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "from a logged moment on there is none")
-    again = f"to have it, fly sim-bridge sil {run / 'experiment.toml'} --fault"
-    return experiment, [
-        f"left out, for from a logged moment on there is none: {fault}; {again} '{fault}'" for fault in left_out
-    ]
+        if fault_schedule.is_among(read_what(what), fault_schedule.NUMERIC):
+            faults.append(fault)
+        else:
+            remarks.append(f"left out, for {absent}: {fault}; to have it, fly sim-bridge sil {file} --fault '{fault}'")
+    experiment = load_experiment(str(file), settings, [*faults, *more_faults])
+    fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, absent)
+    return experiment, remarks
 
 
 class _FaultByHand(NamedTuple):
