@@ -8,9 +8,11 @@ their own estimates were.
 
 import math
 import re
+import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -141,15 +143,22 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
 
 def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> tuple[Experiment, list[str]]:
     """The experiment that was flown, with changes, and a line for each fault that a person made and that is left out: it needs
-    a camera or a board. Raises ConfigError."""
-    faults, left_out = list[str](), list[str]()
-    for what, fault in faults_by_hand(run):
+    a camera or a board. The last line is the command that has them all. Raises ConfigError."""
+    faults, left_out, made = list[str](), list[str](), faults_by_hand(run)
+    for what, fault in made:
         (faults if fault_schedule.is_among(read_what(what), fault_schedule.NUMERIC) else left_out).append(fault)
     experiment = load_experiment(str(run / "experiment.toml"), settings, [*faults, *more_faults])
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "from a logged moment on there is none")
-    again = f"to have it, fly sim-bridge sil {run / 'experiment.toml'} --fault"
+    if not left_out:
+        return experiment, []
+    options = [
+        *(("--set", setting) for setting in settings),
+        *(("--fault", fault) for fault in (*[f for _, f in made], *more_faults)),
+    ]
+    again = shlex.join(["sim-bridge", "sil", str(run / "experiment.toml"), *chain.from_iterable(options)])
     return experiment, [
-        f"left out, for from a logged moment on there is none: {fault}; {again} '{fault}'" for fault in left_out
+        *(f"left out, for from a logged moment on there is none: {fault}" for fault in left_out),
+        f"to have all that was made by hand, fly {again}",
     ]
 
 
