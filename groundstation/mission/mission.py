@@ -7,7 +7,7 @@ the next plan segment, timetable.py the instant at which the flight began. Plann
 that the mission waits for, `planned` takes its outcome.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -64,6 +64,7 @@ TEST_PATIENCE_S = 12.0  # for the thruster test of all robots
 SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going on
 AT_REST_MPS = 0.03  # slower than this counts as at rest
 REST_WITHIN_S = 8.0  # then a hold is done, and planning begins, all the same: robots in waves never quite rest
+ON_PATH_M = 0.05  # of its path: a robot that rests farther beside it is led back by a plan, as after a REJOIN
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
 ATTENDED = "a person attends, and has to start it"  # an automatic mission, once somebody has taken a hand in it
@@ -665,8 +666,8 @@ class Mission:
     def _replan_if_needed(self, fleet: Fleet, now_ns: int) -> None:
         """After RESUMING began: plan from rest where robots cannot simply go on.
 
-        The reasons: robots are to return, and have no plan yet; a gap is to be closed; they are on different plans; one was
-        carried too far off; an obstacle, a lost robot for example, lies on the path.
+        The reasons: robots are to return, and have no plan yet; a gap is to be closed; they are on different plans; one rests
+        beside its path; an obstacle, a lost robot for example, lies on the path.
         """
         if self._awaits_return:
             self.plans.target_return()
@@ -678,7 +679,9 @@ class Mission:
         off_plan = [
             f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
         ]
-        off_plan = off_plan or [f"robot {r} is {away_m:.2f} m from its place" for r, away_m in self._carried_off(fleet)]
+        away_m, robot = self._go_on_from_rest(fleet, now_ns)
+        if away_m > ON_PATH_M:
+            off_plan = off_plan or [f"robot {robot} is {away_m:.2f} m from its place"]
         if off_plan:
             self.plans.target_current()
             self._go(MissionEvent.OFF_PLAN, now_ns)
@@ -686,32 +689,24 @@ class Mission:
         elif self._may_replan and self.plans.first_contact(fleet):
             self.plans.target_current()
             self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
-        else:
-            self._go_on_from_rest(fleet, now_ns)
 
-    def _go_on_from_rest(self, fleet: Fleet, now_ns: int) -> None:
-        """Set the timetable of RESUMING: robots go on where their trajectories come nearest to where they rest, beyond the
-        progress, and when all have had the time to turn there: in HOLD the heading is free."""
+    def _go_on_from_rest(self, fleet: Fleet, now_ns: int) -> tuple[float, int]:
+        """Set progress and timetable of RESUMING: robots go on where their trajectories come nearest to where they rest,
+        beyond the progress, and when all have had the time to turn there: in HOLD the heading is free. Returns the largest
+        distance in m of a robot from there, and the robot."""
         plans, vehicle, period_s = self.plans, self._experiment.vehicle, self._experiment.controller.period_s
         left_s = min(self.segment.end_s - plans.progress_s, REST_WITHIN_S)  # by then they had come to rest
         ahead_s = plans.progress_s + period_s * np.arange(max(round(left_s / period_s), 1), dtype=np.float64)
         paths = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
         if not paths:
-            return
-        away_m = np.max([np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in paths.items()], axis=0)
-        nearest = int(np.argmin(np.append(np.diff(away_m) < 0.0, False)))
+            return 0.0, 0
+        away_m = np.array([np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in paths.items()])
+        nearest = int(np.argmin(np.append(np.diff(away_m.max(axis=0)) < 0.0, False)))
         turns_rad = [wrap(eta.item(nearest, 3) - fleet[r].eta.item(3)) for r, eta in paths.items()]
         starts_in_s = START_IN_S + max(turn_s(vehicle, turn_rad) for turn_rad in turns_rad)
         plans.progress_s = float(ahead_s[nearest])
         self._timetable = Timetable(now_ns + round(starts_in_s * 1e9), plans.progress_s + self.governor.lag_s)
-
-    def _carried_off(self, fleet: Fleet) -> Iterator[tuple[int, float]]:
-        """Robots that are further than safety.join_within_m from their trajectories, and their distance in m."""
-        now = np.array([self.plans.progress_s])
-        for robot, trajectory in self.roster.trajectories(self.segment).items():
-            away_m = float(np.linalg.norm(sample(trajectory, now).eta[0, :3] - fleet[robot].eta[:3]))
-            if away_m > self._experiment.safety.join_within_m:
-                yield robot, away_m
+        return float(away_m[:, nearest].max()), list(paths)[int(away_m[:, nearest].argmax())]
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring all moving robots to rest, then request the plan."""

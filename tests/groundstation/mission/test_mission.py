@@ -1238,13 +1238,15 @@ def test_robots_held_on_a_way_home_that_is_blocked_since_get_another_one() -> No
     assert run.at(MissionState.HALTING) and run.mission.plans.targets_return
 
 
-def test_a_robot_carried_off_during_a_hold_is_led_back_before_resume() -> None:
+@pytest.mark.parametrize("away_m", [0.1, 1.1])
+def test_a_robot_that_rests_beside_its_path_is_led_back_before_resume(away_m: float) -> None:
+    """A person carried it off, or it came to rest beside a bend. Sent on from there, it would be off its plan by as much."""
     run = running(automatic=False)
     assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
-    run.robots[2].eta = (0.0, 1.1, 0.0, 0.0)
+    run.robots[2].eta = (0.0, away_m, 0.0, 0.0)
     run.step(0.5)
     assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
-    assert run.at(MissionState.HALTING) and run.mission.reason == "robot 2 is 1.10 m from its place"
+    assert run.at(MissionState.HALTING) and run.mission.reason == f"robot 2 is {away_m:.2f} m from its place"
     assert all(CommandKind.RESUME not in [c.order for c in robot.got] for robot in run.robots.values())
 
 
