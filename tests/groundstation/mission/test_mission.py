@@ -1065,7 +1065,7 @@ def test_an_obstacle_on_a_transfer_makes_robots_rest_and_replan(is_return: bool)
         assert plan.is_return and set(plan.trajectories) == {1, 3}
 
 
-def test_nobody_flies_home_onto_a_thing_that_lies_on_a_start() -> None:
+def test_no_robot_flies_home_onto_a_thing_that_lies_on_a_start() -> None:
     """Neither when it lies there before, nor when it comes to lie there under way. When it is gone they go on."""
     fleet = SimulatedFleet(load_experiment("pool", ("duration_s=60.0",)))
 

@@ -155,7 +155,7 @@ def test_hold_is_done_when_every_robot_rests_in_its_place_and_in_waves_after_a_w
 
 @pytest.mark.parametrize("silent", [True, False])
 def test_hold_does_not_wait_for_a_lost_robot_that_moves_no_more(silent: bool) -> None:
-    """Whether it is in fault, or silent for so long that it has no power, whatever it reported last."""
+    """A robot in fault, and one that has been silent for so long that it has no power, whatever it reported last."""
     fleet = SimulatedFleet(an_experiment("go-on", THREE, CIRCLE))
     fleet.run(1.0)
     assert fleet.core.request(CommandKind.START, fleet.fleet, fleet.now_ns)[0] == ""

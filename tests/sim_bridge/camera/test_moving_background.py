@@ -107,7 +107,7 @@ def test_swings_are_smooth_bounded_and_repeatable() -> None:
 
 
 @pytest.mark.parametrize("motion", ["sway_m=0.2, tilt_rad=0.0", "sway_m=0.0, tilt_rad=0.05"])
-def test_what_lies_still_moves_in_the_picture_of_a_camera_that_only_sways_or_only_tilts(motion: str) -> None:
+def test_the_floor_moves_in_the_picture_of_a_camera_that_only_sways_or_only_tilts(motion: str) -> None:
     settings = (
         "sim.picture.noise=0",
         "sim.picture.ripples_m=0",
