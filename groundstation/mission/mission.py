@@ -697,16 +697,18 @@ class Mission:
         plans, vehicle, period_s = self.plans, self._experiment.vehicle, self._experiment.controller.period_s
         left_s = min(self.segment.end_s - plans.progress_s, REST_WITHIN_S)  # by then they had come to rest
         ahead_s = plans.progress_s + period_s * np.arange(max(round(left_s / period_s), 1), dtype=np.float64)
-        paths = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
-        if not paths:
+        poses_ahead = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
+        if not poses_ahead:
             return 0.0, 0
-        away_m = np.array([np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in paths.items()])
-        nearest = int(np.argmin(np.append(np.diff(away_m.max(axis=0)) < 0.0, False)))
-        turns_rad = [wrap(eta.item(nearest, 3) - fleet[r].eta.item(3)) for r, eta in paths.items()]
+        distances_m = np.array([np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in poses_ahead.items()])
+        farthest_m = distances_m.max(axis=0)  # of any robot from its trajectory, at each instant
+        still_falls = np.append(np.diff(farthest_m) < 0.0, False)
+        nearest = int(np.argmin(still_falls))  # the first instant at which it falls no more
+        turns_rad = [wrap(eta.item(nearest, 3) - fleet[r].eta.item(3)) for r, eta in poses_ahead.items()]
         starts_in_s = START_IN_S + max(turn_s(vehicle, turn_rad) for turn_rad in turns_rad)
         plans.progress_s = float(ahead_s[nearest])
         self._timetable = Timetable(now_ns + round(starts_in_s * 1e9), plans.progress_s + self.governor.lag_s)
-        return float(away_m[:, nearest].max()), list(paths)[int(away_m[:, nearest].argmax())]
+        return float(farthest_m[nearest]), list(poses_ahead)[int(distances_m[:, nearest].argmax())]
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring all moving robots to rest, then request the plan."""

@@ -146,8 +146,11 @@ class CameraFusion:
     ) -> list[str]:
         """Judge the cameras by the robots that two of them measure, and by their check marks: which were moved, and which are
         in doubt. Returns what to tell the operator."""
-        doubts, agreed, backed = list[str](), set[str](), set[str]()
-        doubted, was_out = dict[str, Array](), set(self._bumps.out)
+        was_out = set(self._bumps.out)
+        doubts = list[str]()  # in words
+        doubted = dict[str, Array]()  # covariance of each camera that is in doubt
+        agreed = set[str]()  # cameras with which another one agrees,
+        backed = set[str]()  # or one that was not out
         alone_apart = dict[str, tuple[float, str]]()  # of a camera that is alone at fault, the worst
         stayed, leapt = set[str](), set[str]()  # cameras by what they measure of the robots whose motion they have followed
         for robot, robot_candidates in candidates.items():
@@ -156,22 +159,28 @@ class CameraFusion:
             stayed |= followed & within
             leapt |= followed - within
             for one, other in combinations(measured, 2):
+                pair = {one.camera, other.camera}
                 apart = _difference(one.mean, other.mean)
-                squared = _squared(apart, covariance := one.covariance + other.covariance)
+                covariance = one.covariance + other.covariance
+                squared = _squared(apart, covariance)
                 if squared <= GATE:
-                    agreed |= {one.camera, other.camera}
-                    backed |= {a.camera for a, b in ((one, other), (other, one)) if b.camera not in was_out}
+                    agreed |= pair
+                    if other.camera not in was_out:
+                        backed.add(one.camera)
+                    if one.camera not in was_out:
+                        backed.add(other.camera)
                     continue
                 words = _in_words(apart, covariance)
-                pair = {one.camera, other.camera}
+                # The fault is one camera's alone if it was out before, or if the other one still fits the robot's motion
                 suspects = (pair & was_out or pair & followed - within) - self._bumps.proven
                 if len(suspects) == 1 and (suspects <= was_out or pair & within):
-                    alone_apart |= {name: max((squared, words), alone_apart.get(name, (0.0, ""))) for name in suspects}
+                    (suspect,) = suspects
+                    alone_apart[suspect] = max((squared, words), alone_apart.get(suspect, (0.0, "")))
                     continue
                 doubts.append(f"cameras {one.camera} and {other.camera} disagree by {words} about robot {robot}")
+                away_m2 = float(apart[:2] @ apart[:2])
+                grown = np.diag([away_m2, away_m2, apart[2] ** 2])
                 for name in pair:
-                    away_m2 = float(apart[:2] @ apart[:2])
-                    grown = np.diag([away_m2, away_m2, apart[2] ** 2])
                     doubted[name] = np.maximum(doubted.get(name, grown), grown)
         moved = {name: view.status.message for name, view in views.items() if view.status.moved}
         evidence = Evidence(

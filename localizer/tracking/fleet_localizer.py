@@ -426,20 +426,22 @@ class FleetLocalizer:
     def _update_appearance(self, views: Mapping[int, PredictedView]) -> None:
         """Report the correlation peak of the robots whose turn it is, so that its fall is visible before a match is needed;
         update the appearance where the pose is certain, with no other robot in the patch."""
-        turn = [
-            s for i, s in views.items() if (self._frames + i) % _LEARN_EVERY == 0 or not self._appearance.is_initialised(i)
-        ]
         apart_m = self._appearance.reach_m + self.radius_m
-        poses = [self._best_pose(view.robot) for view in turn]
-        certain = [
-            self._is_certain(v.robot) and self._clearance_m(v.robot, p) > apart_m for v, p in zip(turn, poses, strict=True)
-        ]
-        due = [k for k, view in enumerate(turn) if certain[k] or self._tracks[view.robot].state is Track.MARKER]
-        rates = _LEARNING_RATE * np.array([certain[k] for k in due], dtype=np.float64)
-        peaks = self._appearance.update([turn[k] for k in due], [poses[k] for k in due], rates)
-        for robot, peak in zip((turn[k].robot for k in due), peaks, strict=True):
-            if self._tracks[robot].state is Track.MARKER:
-                self._tracks[robot] = self._tracks[robot].with_peak(peak)
+        due_views, poses, rates = list[PredictedView](), list[Array](), list[float]()
+        for i, view in views.items():
+            is_its_turn = (self._frames + i) % _LEARN_EVERY == 0 or not self._appearance.is_initialised(i)
+            if not is_its_turn:
+                continue
+            pose = self._best_pose(view.robot)
+            is_certain = self._is_certain(view.robot) and self._clearance_m(view.robot, pose) > apart_m
+            if is_certain or self._tracks[view.robot].state is Track.MARKER:
+                due_views.append(view)
+                poses.append(pose)
+                rates.append(_LEARNING_RATE if is_certain else 0.0)
+        peaks = self._appearance.update(due_views, poses, np.array(rates, dtype=np.float64))
+        for view, peak in zip(due_views, peaks, strict=True):
+            if self._tracks[view.robot].state is Track.MARKER:
+                self._tracks[view.robot] = self._tracks[view.robot].with_peak(peak)
 
     # --- small questions
 

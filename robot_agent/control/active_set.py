@@ -258,17 +258,18 @@ def solve_from(program: ConvexProgram, working: ActiveSet) -> int:
     for taken in range(1, ROUNDS + 1):
         if not minimise_held(program, working):
             break
-        settled = True
+        is_settled = True
         for row in range(len(held)):
             if held[row] != 0:
-                right = y[row] * held[row] >= 0.0
-                held[row] = held[row] if right else 0
+                if not y[row] * held[row] >= 0.0:  # it would pull: let it go
+                    held[row] = 0
+                    is_settled = False
             else:
                 place = dot(a[row], x)
-                right = lower[row] <= place <= upper[row]
-                held[row] = 0 if right else 1 if place > upper[row] else -1
-            settled &= right
-        if settled:
+                if not lower[row] <= place <= upper[row]:
+                    held[row] = 1 if place > upper[row] else -1
+                    is_settled = False
+        if is_settled:
             return taken if math.isfinite(dot(x, x)) else 0
     solved = solve_one_by_one(program, working) and math.isfinite(dot(x, x))
     return ROUNDS + 1 if solved else 0

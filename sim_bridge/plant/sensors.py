@@ -67,7 +67,6 @@ class BoardSensors:
         `tilt` is roll, pitch, and d/dt of them, which turn the sensors with the body. The rate about the body's third axis is
         cos(roll) cos(pitch) d yaw/dt - sin(roll) d pitch/dt (Fossen 2021, eq. 2.31). The board levels its heading.
         """
-        sensors = self._sensors
         sensors, faults = self._sensors, self.faults
         heading_noise, gyro_noise, pressure_noise, *force_noise = self._random.standard_normal(6).tolist()
         x, y, z, yaw = eta.tolist()
