@@ -171,7 +171,7 @@ def test_next_program_takes_over_from_one_that_is_killed(installation: Path) -> 
     killed.communicate()
 
 
-def test_what_compiles_ends_with_a_program_that_is_killed(installation: Path) -> None:
+def test_the_workers_end_with_a_program_that_is_killed(installation: Path) -> None:
     """However long the compiler takes until it says something again. The lock is free then."""
     begun = installation / "begun"
     text = f"import pathlib, time; pathlib.Path({str(begun)!r}).touch(); time.sleep(3600)\n"
