@@ -450,8 +450,9 @@ class GiveWay:
         if own_mps < SLIGHTEST_MPS:
             unhurried_mps = AT_END * self.agility.fastest_mps
         wanted *= min(1.0, unhurried_mps / abs(wanted))
-        alike = (own.conjugate() * traffic.velocity).real > -HEAD_ON * own_mps * np.abs(traffic.velocity)
-        motion = Motion(place, wanted, self._velocity, own if np.all(alike[meets]) else 0j)
+        theirs, theirs_mps = traffic.velocity[meets], np.abs(traffic.velocity[meets])
+        overtakes = (theirs_mps < own_mps) & ((own.conjugate() * theirs).real > -HEAD_ON * own_mps * theirs_mps)
+        motion = Motion(place, wanted, self._velocity, own if np.all(overtakes) else 0j)
         return complex(nearest_free(motion, traffic, within_s, meets & traffic.yields, self._fan, self._basin))
 
     # --- the path of the point

@@ -50,7 +50,7 @@ class Distances:
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_robots_hold_go_on_and_stop_as_they_are_told(name: str, seed: int, tmp_path: Path) -> None:
     scene, settings = FLIGHTS[name]
-    experiment = load_experiment(scene, ["duration_s=200", f"seed={seed}", *settings])
+    experiment = load_experiment(scene, ["duration_s=125", f"seed={seed}", *settings])
     executor, bus, far = Executor(experiment, tmp_path, hub := MemoryHub()), Bus(MemoryTransport(hub)), Distances()
     inboxes = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
     truths, orders, steps = bus.inbox(topics.TRUTH, Truth), list(ORDERS), 0
