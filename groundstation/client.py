@@ -73,8 +73,9 @@ def _connected(
 
 
 def sender(bus: Bus) -> Callable[[Command], Reply]:
-    """Function that sends a request, also one for a single robot, to the station and waits for the reply."""
-    return lambda command: bus.command(command, time.time_ns(), ORDER_TIMEOUT_S, to=WHOLE_FLEET)
+    """Function that sends a request, also one for a single robot, to the station and waits for the reply. A station that is
+    held up for longer does not carry it out any more."""
+    return lambda command: bus.command(command, time.monotonic_ns(), ORDER_TIMEOUT_S, to=WHOLE_FLEET)
 
 
 def go_command(places_m: ArrayLike, robot: int = WHOLE_FLEET) -> Command:
