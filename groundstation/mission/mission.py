@@ -159,7 +159,8 @@ class Mission:
         self._awaits_operator = False  # a person took a hand in it, or only a person can tell how to go on
         self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
-        # How the last flight ended that the report judges: one with a START. None while it is under way, or before the first
+        # How the last flight ended that was asked for by START, or by nobody in an automatic mission, and how the way to it if
+        # nobody flew. None while it is under way, or before the first
         self.verdict: MissionState | None = None
 
     @property
@@ -198,6 +199,8 @@ class Mission:
             self._may_arm(now_ns)
         if order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST):
             self._begin_run()
+        if order is CommandKind.START:
+            self.verdict = None
         self._last_state = {CommandKind.LOAD: MissionState.LOADING, CommandKind.ARM: MissionState.ARMING}.get(order)
         at_rest = before in AT_REST and order in OTHER_FLIGHTS
         if order is not CommandKind.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
