@@ -103,15 +103,15 @@ def test_a_start_by_which_nobody_flew_is_said_in_the_report_of_the_flight_before
     experiment, log, _ = flown
     kept, last_ns = log.of(topics.EVENT, Event), log.of(topics.STATE, RobotState, 1)[-1].stamp_ns
     stamps = [last_ns + k * SECOND for k in range(1, len(words) + 1)]
-    told = [
+    events = [
         DecodedMessage(ns, ns, k, Event(2, "groundstation", text))
         for k, (ns, text) in enumerate(zip(stamps, words, strict=True))
     ]
-    result = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.EVENT.name, 0): [*kept, *told]}))
+    result = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.EVENT.name, 0): [*kept, *events]}))
     assert result.passed, "the flight is judged by itself"
-    said = [note for note in result.notes if "another start was asked for" in note]
-    assert len(said) == (sentence is not None)
-    assert all(note.endswith(str(sentence)) for note in said)
+    sentences = [note for note in result.notes if "another start was asked for" in note]
+    assert len(sentences) == (sentence is not None)
+    assert all(note.endswith(str(sentence)) for note in sentences)
 
 
 def test_the_flight_that_was_aborted_can_be_asked_for(flown: tuple[Experiment, RunLog, Path]) -> None:
