@@ -131,6 +131,16 @@ class PlanManager:
         """True if the plan from rest leads back to the starts."""
         return self._purpose == self._plan_return
 
+    @property
+    def targets_flight(self) -> bool:
+        """True if the plan from rest leads to another path."""
+        return self._coming is not None
+
+    @property
+    def formation(self) -> tuple[PlanSegment, float]:
+        """Segment, and progress along it in s, at which the formation has its places: on the way home the path's beginning."""
+        return (self._first, self._first.centre.begin_s) if self.segment.is_return else (self.segment, self.progress_s)
+
     def _plan_return(self, fleet: Fleet, begin_s: float) -> PlanMaker:
         """Purpose of a plan from rest: back to the starts."""
         experiment, starts = self.flown, self.starts
