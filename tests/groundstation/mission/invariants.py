@@ -62,6 +62,7 @@ class _Followed:
     only: int
     since_ns: int
     flown: dict[int, str]  # by robot: the trajectory that it had
+    path: str = ""  # name of another experiment
     alone: bool = True  # nobody has asked for anything since
     was_driven: bool = False  # the robot has followed a DRIVE since
     waited_s: float = 0.0
@@ -94,6 +95,7 @@ class Invariants:
     apart_s: float = 0.0
     flown_s: float = 0.0  # the farthest that any robot has truly come along the roster's trajectory
     lap_s: float = 0.0
+    flight: int = 0  # number of the path and run that the laps are of
     paused_s: float = 0.0
     waiting_gains_s: float = 0.0
     violated: bool = False
@@ -103,12 +105,14 @@ class Invariants:
         self.ids = {r: deque(maxlen=RECENT) for r in self.pool.robots}
         self.pool.on_cycle = self.check
 
-    def begin(self, number: int, order: CommandKind, only: int = 0, place_m: tuple[float, float] | None = None) -> None:
+    def begin(
+        self, number: int, order: CommandKind, only: int = 0, place_m: tuple[float, float] | None = None, path: str = ""
+    ) -> None:
         """Follow a request that was taken."""
         for other in self.followed.values():
             other.alone = other.alone and bool(only and other.only and only != other.only)
         flown = {robot.id: robot.clock.id for robot in self.pool.robots.values()}
-        self.followed.setdefault(number, _Followed(order, place_m, only, self.pool.now_ns, flown))
+        self.followed.setdefault(number, _Followed(order, place_m, only, self.pool.now_ns, flown, path))
         ends_a_run = self.pool.mission.state is MissionState.ENDING
         if order in WATER:
             self.out = self.out | {only} if order is CommandKind.OUT else self.out - {only}
@@ -308,7 +312,9 @@ class Invariants:
         """The table of laps loses no time within a run: who flies alone neither clears it nor adds to it. A robot that did
         not hear HOLD, and flew on alone until it held by itself, goes back to where the others are, and so does its lap."""
         rows = self.pool.core.laps.laps()
-        lap_s = sum(row.time_s for row in rows)
+        lap_s, flight = sum(row.time_s for row in rows), self.pool.mission.plans.laps.flight
+        if flight != self.flight and self.pool.mission.flying(self.pool.fleet):  # another path has a table of its own
+            self.lap_s, self.flight = 0.0, flight
         if self.pool.mission.state in COMMITTED and self.flown_s > 1.0 and len(rows) < 10:
             lost_s, most_s = self.lap_s - lap_s, self.pool.experiment.safety.station_hold_s + LATE_S
             assert lost_s <= most_s, f"LAPS: the table loses {lost_s:.2f} s of {self.lap_s:.2f} s flown"
@@ -380,11 +386,15 @@ class Invariants:
             return "; ".join(f"robot {r.id} has passed none" for r in active if r.passed_ns <= followed.since_ns)
         if order in (CommandKind.START, CommandKind.RESUME):
             return self._never(active, Mode.TRACKING)
-        if order in (CommandKind.GO, CommandKind.REJOIN):
+        if order is CommandKind.PATH and (other := self.pool.mission.plans.flown.name) != followed.path:
+            return f"the path is that of {other}"
+        if order is CommandKind.PATH and self.pool.mission.state in AT_REST:
+            return ""
+        if order in (CommandKind.GO, CommandKind.REJOIN, CommandKind.PATH):
             same = [r for r in active if all(flown == followed.flown[r.id] for flown in self.ids[r.id])]
             return self._never(active, Mode.TRACKING) or "; ".join(f"robot {r.id} has its old path" for r in same)
         if order is CommandKind.RETURN:
-            starts = self.pool.starts
+            starts = self.pool.mission.plans.starts  # of the path that was flown
             inside = [r for r in in_reach if r.id not in self.out]
             away = [r for r in inside if np.hypot(*(r.eta[:2] - starts[r.id][:2])) > NEAR_M or not self._was_rest(r)]
             return "; ".join(f"robot {r.id} is not at its start, or is {r.mode.name}" for r in away)

@@ -8,6 +8,7 @@ import copy
 import secrets
 import time
 from collections import Counter
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -25,6 +26,7 @@ from groundstation.mission.state_machine import (
     order_named,
     rejection_reason,
 )
+from shoal.config.experiment import dump_experiment
 from shoal.messages.messages import CommandKind, DriveVelocity, Mode
 from tests.groundstation.mission.invariants import STOPPED_WITHIN_S, Invariants
 from tests.groundstation.mission.judged_run import RunRecord
@@ -46,10 +48,19 @@ KEY = "controller.nmpc.turning_m"
 PLACES_M = ((0.0, 1.9), (2.6, 1.6), (-2.6, -1.6), (2.4, -1.2))
 MIDDLES_M = ((0.8, 0.4), (-0.8, 0.4), (1.4, -0.6), (-1.2, -0.8))  # for the formation's centre
 OUTAGES_S = (0.1, 0.4, 1.0, 2.5, 5.0, 20.0)
+OTHER_PATHS = {"beside": "[0.4,-0.6],[1.4,-0.6],[1.4,0.0]", "above": "[-0.4,0.8],[0.6,0.8]"}
 ENDS = (CommandKind.DISARM, CommandKind.END, CommandKind.STOP)
 FLEET_ORDERS = [order_named(name) for name in FLEET_REQUESTS]
 BETWEEN_NS = 17_000_000  # a request comes so much later within its cycle than the one before
 SAMPLED = 12  # one in so many arrivals in a state of the mission is followed by a STOP, beside what goes on
+
+
+@cache
+def another_path(robots: int, name: str) -> str:
+    """Text of a request to fly another experiment's path."""
+    path = f'{{kind="waypoints",points_m=[{OTHER_PATHS[name]}],speed_mps=0.1,depth_m=0.4}}'
+    text = dump_experiment(an_experiment("go-on", THREE if robots == 3 else TWO, path, 12))
+    return text.replace('name = "pool"', f'name = "{name}"')
 
 
 class Interruptions(RuleBasedStateMachine):
@@ -94,17 +105,18 @@ class Interruptions(RuleBasedStateMachine):
         """Count a request, a mishap or a wait."""
         self.figures["steps"] += 1
 
-    def ask(self, who: str, order: CommandKind, robot: int, place_m: tuple[float, float] | None = None) -> str:
-        """A request of `who`. Returns the reason of a refusal."""
+    def ask(self, who: str, order: CommandKind, robot: int, place_m: tuple[float, float] | None = None, path: str = "") -> str:
+        """A request of `who`; `path`: name of another experiment. Returns the reason of a refusal."""
         pool = self.pool
         before = pool.mission.state
         self.requests += 1
         now_ns = pool.now_ns + self.requests * BETWEEN_NS % STEP_NS  # people do not wait for a cycle
-        refused, number = pool.core.request(order, pool.seen_at(now_ns), now_ns, (place_m,) if place_m else (), robot)
+        text = another_path(len(self.ids), path) if path else ""
+        refused, number = pool.core.request(order, pool.seen_at(now_ns), now_ns, (place_m,) if place_m else (), robot, text)
         assert bool(number) is not bool(refused), f"ANSWER: {order.name} of {who}: number {number}, {refused!r}"
         assert not refused or order is not CommandKind.STOP, f"STOP: refused in {before.name}: {refused}"
         if number:
-            self.watched.begin(number, order, robot, place_m)
+            self.watched.begin(number, order, robot, place_m, path)
         if number and before in TERMINAL | {MissionState.WAITING}:
             self.watched.begin_run()
         return refused
@@ -159,6 +171,14 @@ class Interruptions(RuleBasedStateMachine):
     def lead_elsewhere(self, who: str, place_m: tuple[float, float]) -> None:
         """Another path for the whole formation."""
         self.ask(who, CommandKind.GO, 0, place_m)
+
+    @rule(who=st.sampled_from(PEOPLE), path=st.sampled_from(tuple(OTHER_PATHS)), holds=st.booleans())
+    def fly_another_path(self, who: str, path: str, holds: bool) -> None:
+        """Another experiment's path: from a hold at once, at rest with the next start."""
+        if holds:
+            self.ask(who, CommandKind.HOLD, 0)
+            self.pool.run(3.0)
+        self.ask(who, CommandKind.PATH, 0, path=path)
 
     @rule(
         who=st.sampled_from(PEOPLE),
