@@ -52,13 +52,13 @@ Rows = Sequence[PixelRow] | Sequence[PoseRow]
 def table(rows: Sequence[Any]) -> str:
     """Rows as text: one line each, a column per field."""
     fields = [field.name for field in dataclasses.fields(rows[0])]
-    cells = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
-    widths = [max(len(line[i]) for line in cells) for i in range(len(fields))]
-    first, *others = widths
-    return "\n".join(
-        "  ".join([line[0].ljust(first), *(cell.rjust(width) for cell, width in zip(line[1:], others, strict=True))])
-        for line in cells
-    )
+    lines = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
+    columns: list[list[str]] = []
+    for column in zip(*lines, strict=True):
+        width = max(len(cell) for cell in column)
+        is_first = not columns
+        columns.append([cell.ljust(width) if is_first else cell.rjust(width) for cell in column])
+    return "\n".join("  ".join(line) for line in zip(*columns, strict=True))
 
 
 def to_json(rows: Sequence[Any]) -> str:
@@ -233,7 +233,8 @@ class _Target:
         """Follow the target into the next picture. Farther off than half the box is a failure: the tracker starts anew at
         the truth. So it does, but not as a failure, where the truth itself leaps as far, or comes back from a gap there."""
         place = self._places_px[frame]
-        is_known, reach_px = bool(np.all(np.isfinite(place))), self._box_px / 2.0
+        is_known = bool(np.all(np.isfinite(place)))
+        reach_px = self._box_px / 2.0
         if self._follower is None:
             self._follower = SingleObjectTracker(picture, place, self._box_px) if is_known else None
             return
@@ -243,11 +244,12 @@ class _Target:
         if not is_known:
             return
         error_px = float(np.linalg.norm(pose[:2] - place))
-        followed = bool(np.linalg.norm(place - self._places_px[frame - 1]) <= reach_px)  # False if that was not known
-        if error_px <= reach_px or followed:
+        has_lost_it = error_px > reach_px
+        truth_is_steady = bool(np.linalg.norm(place - self._places_px[frame - 1]) <= reach_px)  # False if that was not known
+        if truth_is_steady or not has_lost_it:
             self._errors_px.append(error_px)
-            self._failures += error_px > reach_px
-        if error_px > reach_px:
+            self._failures += has_lost_it
+        if has_lost_it:
             self._follower = SingleObjectTracker(picture, place, self._box_px)
 
     def row(self, truth: Path) -> PixelRow:

@@ -444,11 +444,11 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
     assert results["clock"][0] == "ok"
     assert results["code"][0] == "warn" and "an earlier version" in results["code"][1], "this one's heartbeat says no code"
     assert [results[f"{part} {i}"][0] for part in ("thruster", "ankle") for i in (1, 2, 3, 4)] == ["ok"] * 8
-    answers = "y\n" + "y\ny\n" * 4 + "y\nn\n" + "n\n" + "y\ny\n" * 2  # ankle 1 is seen to move wrongly, 2 is left out
+    answers = "y\n" + "y\ny\n" * 4 + "y\n\nn\n" + "n\n" + "y\ny\n" * 2  # ankle 1 is seen to move wrongly, 2 is left out
     person = CliRunner().invoke(cli, ["check", "--config", str(site / "agent.toml"), "--thrusters", "--json"], input=answers)
     rows = {row["what"]: row for row in json.loads(person.stdout[person.stdout.index("[\n") :])}
     assert [rows[f"thruster {i}"]["detail"][-6:] for i in (1, 2, 3, 4)] == ["; seen"] * 4
-    assert [rows[f"ankle {i}"]["verdict"] for i in (1, 2, 3, 4)] == ["fail", "skipped", "ok", "ok"]
+    assert [rows[f"ankle {i}"]["verdict"] for i in (1, 2, 3, 4)] == ["fail", "skipped", "ok", "ok"], "Enter alone is no answer"
     assert "  3 [*]----'-----'----[ ] 4" in person.stderr
     assert "thruster 3, rear left, turns slowly and pushes ahead" in person.stderr
     assert checked(site)[1]["thrusters"][0] == "skipped"
