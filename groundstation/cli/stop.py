@@ -221,6 +221,7 @@ def stop(
 
     patience_s = client.PATIENCE_S[CommandKind.STOP] if wait is None else wait
     stops: list[StationStop] = []
+    unread: OSError | None = None
 
     def send(stations: "Sequence[RunningStation]") -> None:
         for one in stations:
@@ -231,7 +232,10 @@ def stop(
         _send_to_all(station, fleet, complaints, send, stops)
         for one in stops:
             one.await_end()
-            one.print(as_json)
+            try:
+                one.print(as_json)
+            except OSError as error:  # nobody reads it (`stop | head -1`): the stops of the others are awaited all the same
+                unread = error
     except KeyboardInterrupt:
         for one in stops:
             typer.echo(printable(f"station {one.station.name}: {one.interrupted}"), err=True)
@@ -241,6 +245,8 @@ def stop(
         os._exit(INTERRUPTED)  # a thread that still connects would abort an interpreter that ends
     for complaint in dict.fromkeys([*complaints, *(text for one in stops for text in one.complaints)]):
         typer.echo(printable(f"left out: {complaint}"), err=True)
+    if unread is not None:
+        raise unread
     raise typer.Exit(0 if all(one.outcome()[0] for one in stops) else 1)
 
 

@@ -89,19 +89,22 @@ def read_idtracker(path: Path) -> list[Array]:
 
 def read_poses(
     path: Path, experiment: Experiment, stamps_ns: Sequence[int]
-) -> tuple[dict[int, GroundTruthTrajectory], dict[int, dict[int, float]]]:
+) -> tuple[dict[int, GroundTruthTrajectory], dict[int, dict[int, float]], int]:
     """Trajectories by robot, and known depths by frame and robot, from a table with COLUMNS and, where it is known, `depth_m`.
-    A pose that is not known (an empty cell, NaN) stays a gap. Frames beyond `stamps_ns` are left out."""
+    A pose that is not known (an empty cell, NaN) stays a gap. Frames beyond `stamps_ns` are left out; the last of the table is
+    returned too."""
     samples: dict[int, list[tuple[int, Array]]] = {}
+    last = -1
     depths: dict[int, dict[int, float]] = {}
     for frame, robot, value in read_frame_table(path, experiment, COLUMNS[2:], ("depth_m",)):
+        last = max(last, frame)
         if frame >= len(stamps_ns):
             continue
         pose = np.array([value.get(name, math.nan) for name in COLUMNS[2:]])
         samples.setdefault(robot, []).append((stamps_ns[frame], pose))
         if "depth_m" in value:
             depths.setdefault(frame, {})[robot] = value["depth_m"]
-    return {robot: trajectory(rows) for robot, rows in samples.items()}, depths
+    return {robot: trajectory(rows) for robot, rows in samples.items()}, depths, last
 
 
 def read_frame_table(
@@ -266,14 +269,15 @@ def evaluate_plain(path: Path, truth: Path, box_px: float, limit: int | None) ->
         for picture in video.pictures(frames):
             for target in targets:
                 target.step(picture.number, picture.pixels)
-        return [target.row(truth) for target in targets], video.damage(frames)
+        damage = video.damage(frames) or _beyond(truth, frames, len(video.stamps_ns))
+        return [target.row(truth) for target in targets], damage
 
 
 def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | None) -> tuple[list[PoseRow], str]:
     """Localize the robots of an experiment in a video, picture by picture, and compare with a truth file (see read_poses).
     Returns rows, and a sentence if pictures are missing."""
     with closing(VideoReader(path)) as video:
-        trajectories, depths = read_poses(truth, experiment, video.stamps_ns)
+        trajectories, depths, last = read_poses(truth, experiment, video.stamps_ns)
         check_size(path, video.size_px, experiment)
         locator, poses, message = FleetLocalizer(experiment), list[PublishedPose](), ""
         for picture in video.pictures(limit):
@@ -282,11 +286,16 @@ def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | 
             located = locator.step(pixels, picture.stamp_ns, depths.get(picture.number, {}))
             message = located.status.message
             poses += [PublishedPose(robot, picture.stamp_ns, pose) for robot, pose in located.poses]
-        damage = video.damage(limit)
+        damage = video.damage(limit) or _beyond(truth, min(last + 1, limit or last + 1), len(video.stamps_ns))
     rows = pose_rows(poses, trajectories)
     if not rows:
         raise ConfigError(f"{path}: no robot was ever found where {truth} has a truth ({message or 'no marker'})")
     return rows, damage
+
+
+def _beyond(truth: Path, frames: int, pictures: int) -> str:
+    """A sentence about a truth of more frames than there are pictures of, as where the video was cut; else empty."""
+    return f"{truth}: tells of {frames} frames, and the video has {pictures}" if frames > pictures else ""
 
 
 def check_size(path: Path, size_px: tuple[int, int], experiment: Experiment) -> None:

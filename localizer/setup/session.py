@@ -132,8 +132,7 @@ class SetupSession:
             camera_of_size = camera if camera.size_px == size_px and self._file.has_camera else None
             survey = SurveyStep(self._experiment.pool, self._experiment.localizer.marker_family)
             lens = LensStep(self._board, _guess(size_px) if camera_of_size is None else Intrinsics.of(camera_of_size))
-            polygons = () if camera_of_size is None else camera_of_size.masks_px
-            masks = {i + 1: [list(px) for px in mask] for i, mask in enumerate(polygons)}
+            masks = {} if camera_of_size is None else _masks(camera_of_size)
             self._works[size_px] = CameraWork(size_px, camera_of_size, survey, lens, masks)
         return self._works[size_px]
 
@@ -305,12 +304,12 @@ class SetupSession:
     def _fit_pose(self, arguments: Mapping[str, Any]) -> None:
         """Find the camera's pose from the points that were marked. Raises ConfigError."""
         with self._lock:
-            work, grey, lens_fit = self._work, self._grey, self._work.lens_fit
-        if work.camera is None:
+            work, grey, camera = self._work, self._grey, self._work.camera
+        if camera is None:
             raise ConfigError(self._no_lens())
-        fit, points = work.survey.fit(work.camera, grey)
+        fit, points = work.survey.fit(camera, grey)
         with self._lock:
-            if work.lens_fit is not lens_fit:
+            if work.camera is None or Intrinsics.of(work.camera) != Intrinsics.of(camera):
                 raise ConfigError("another lens was found meanwhile: find the pose again")
             work.survey.note_errors(fit, points)
             work.pose_fit, work.camera = fit, fit.camera
@@ -368,8 +367,27 @@ class SetupSession:
         self._take_up_file()
 
     def _take_up_file(self) -> None:
-        """Hold changes against what the file holds now."""
-        self._experiment = self._experiment.model_copy(update={"camera": self._file.camera})
+        """Hold changes against what the file holds now. What the setup did not find is the file's, as somebody else may have
+        written it meanwhile; a pose that was found with another lens than that is dropped."""
+        with self._lock:
+            before, held = self._experiment.camera, self._file.camera
+            self._experiment = self._experiment.model_copy(update={"camera": held})
+            for work in self._works.values():
+                of_file = held if self._file.has_camera and held.size_px == work.size_px else None
+                lens = work.lens_fit.lens if work.lens_fit is not None else of_file and Intrinsics.of(of_file)
+                if lens != (work.camera and Intrinsics.of(work.camera)):
+                    if work.pose_fit is not None:
+                        self._note = "the file holds another lens now: find the pose again"
+                    work.pose_fit, work.pose_said = None, []
+                    work.survey.residuals.clear()
+                camera = None if lens is None else held.model_copy(update=lens.model_dump())
+                if camera is not None and work.pose_fit is not None:
+                    pose = work.pose_fit.camera.model_dump(include={"position_m", "rotation_rad"})
+                    camera = camera.model_copy(update=pose)
+                work.camera = camera
+                if of_file is not None and list(work.masks.values()) == list(_masks(before).values()):
+                    work.masks = _masks(of_file)
+            self._next_mask = max(self._next_mask, 1 + max(self._work.masks, default=0))
 
 
 def _is_finite(content: Any) -> bool:
@@ -379,6 +397,11 @@ def _is_finite(content: Any) -> bool:
     if isinstance(content, list):
         return all(_is_finite(value) for value in content)
     return not isinstance(content, float) or math.isfinite(content)
+
+
+def _masks(camera: Camera) -> dict[int, list[list[float]]]:
+    """A camera's masks by number."""
+    return {i + 1: [list(px) for px in mask] for i, mask in enumerate(camera.masks_px)}
 
 
 def _guess(size_px: tuple[int, int]) -> Intrinsics:

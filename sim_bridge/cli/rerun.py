@@ -8,6 +8,7 @@ import typer
 
 from shoal.runtime.cli_options import AsJson, RunFolder, Settings
 from shoal.runtime.output import terminal
+from shoal.system.printable import printable
 
 if TYPE_CHECKING:
     from sim_bridge.replay.step_diff import StepComparison
@@ -29,11 +30,13 @@ def rerun(
     Examples:  sim-bridge rerun runs/pool-20260101-120000
                sim-bridge rerun runs/pool-20260101-120000 --robot 1 --set controller.nmpc.turning_m=0.1 --figures out
     """
+    from groundstation.logs.reader import read_log
     from groundstation.report.report import write_pdf
     from sim_bridge.replay.step_diff import draw
     from sim_bridge.replay.step_replay import rerun as do_again
 
     comparisons = do_again(run_folder, robots or (), settings or ())
+    trouble = read_log(run_folder / "run.mcap", ()).trouble
     if figures is not None:
         figures.mkdir(parents=True, exist_ok=True)
         for again in comparisons:
@@ -44,7 +47,9 @@ def rerun(
         typer.echo(json.dumps([again.as_dict() for again in comparisons], indent=1))
     else:
         _tell(comparisons)
-    raise typer.Exit(0 if settings or all(again.exact for again in comparisons) else 1)
+    if trouble:
+        typer.echo(printable(trouble), err=True)
+    raise typer.Exit(0 if not trouble and (settings or all(again.exact for again in comparisons)) else 1)
 
 
 def _tell(comparisons: "list[StepComparison]") -> None:

@@ -37,8 +37,8 @@ def fly_one(experiment_json: str) -> dict[str, Any]:
     row: dict[str, Any] = {"status": "flown", "reason": ""}
     try:
         row |= _flown_with_camera(experiment) if experiment.localizer.uses_camera else _flown(experiment)
-    except ConfigError as error:
-        row |= {"status": "refused", "reason": str(error)}
+    except ConfigError as error:  # the experiment's, unless it is the disk's, which may be another the next time
+        row |= {"status": "failed" if isinstance(error.__context__, OSError) else "refused", "reason": str(error)}
     except Exception as error:  # one flight's bug must not end the campaign; the row says what it was
         row |= {"status": "failed", "reason": f"{type(error).__name__}: {error}"}
     return {**row, "wall_s": time.perf_counter() - begin_s}
@@ -57,7 +57,8 @@ def _flown(experiment: Experiment) -> dict[str, Any]:
 
 def _flown_with_camera(experiment: Experiment) -> dict[str, Any]:
     """Fly in lockstep in this process, and judge the log as its report does. Raises ConfigError if the station refuses the
-    experiment, Failed if a part of the run has ended, or the log does not hold all of it."""
+    experiment, Failed if a part of the run has ended, or the log has no room or does not hold all of it."""
+    from groundstation.logs.recorder import check_room
     from groundstation.report.report import evaluated  # these load every program: not for numeric flights
     from shoal.bus.memory_transport import MemoryHub
     from sim_bridge.in_process.executor import Executor
@@ -69,6 +70,10 @@ def _flown_with_camera(experiment: Experiment) -> dict[str, Any]:
         }
     )
     with tempfile.TemporaryDirectory(prefix="shoal-flight-") as folder:
+        try:
+            check_room(Path(folder), quiet.recording.min_free_gb)
+        except ConfigError as error:
+            raise Failed(str(error)) from None
         Executor(quiet, Path(folder), MemoryHub()).fly()
         series, log, result = evaluated(Path(folder))
     if log.trouble:  # a full disk, as of several workers: figures of a part are none of a flight

@@ -149,6 +149,17 @@ def test_its_steps_done_again_come_out_the_same_to_the_last_bit(lockstep_run: tu
         assert robot["compared"] >= 180  # the whole 9 s
 
 
+def test_steps_of_a_cut_log_are_done_again_up_to_there_and_it_is_said(
+    lockstep_run: tuple[Path, int, str], tmp_path: Path
+) -> None:
+    (tmp_path / "experiment.toml").write_bytes((lockstep_run[0] / "experiment.toml").read_bytes())
+    whole = (lockstep_run[0] / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    code, output, errors = ended("sim-bridge", "rerun", str(tmp_path), "--json")
+    assert code == 1 and "Cut log: run.mcap ends before its run does" in errors
+    assert all(robot["exact"] and 0 < robot["compared"] < 180 for robot in json.loads(output))
+
+
 def test_another_weight_would_have_asked_for_other_thrust(lockstep_run: tuple[Path, int, str]) -> None:
     (robot,) = rerun(lockstep_run[0], "--robot", "2", "--set", "controller.nmpc.turning_m=0.1")
     differing = {difference["field"]: difference for difference in robot["differences"]}

@@ -1,5 +1,6 @@
 """The stop's command line: whatever is left of it after what cannot be used was left out can be parsed."""
 
+import errno
 import os
 import signal
 import socket
@@ -12,9 +13,12 @@ import pytest
 import typer
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
-from groundstation.cli.stop import CHECKS, FLAGS, NAME, usable_arguments
+from groundstation.cli.stop import CHECKS, FLAGS, NAME, StationStop, usable_arguments
+from groundstation.station import discovery
+from groundstation.station.discovery import RunningStation
 from tests.forked import ended
 
 VALUES = st.one_of(
@@ -56,6 +60,22 @@ def test_no_line_keeps_a_stop_from_being_sent(words: list[list[str]]) -> None:
 def test_a_stop_is_one_wherever_its_options_stand(words: list[str]) -> None:
     code, output, errors = ended("groundstation", *words, "--station", "tcp/127.0.0.1:1", "--wait", "0")
     assert code == 1 and "NOT HEARD" in output and "Usage" not in errors
+
+
+def test_a_reader_who_goes_away_leaves_no_station_without_its_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `groundstation stop | head -1` does after the first station's line."""
+    stations = [RunningStation(f"tcp/127.0.0.1:{port}", "shoal", name, port) for port, name in ((1, "a"), (2, "b"))]
+    awaited: list[str] = []
+
+    def closed(stop: StationStop, as_json: bool) -> None:
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    monkeypatch.setattr(discovery, "running", lambda: stations)
+    monkeypatch.setattr(StationStop, "begin", lambda stop: None)
+    monkeypatch.setattr(StationStop, "await_end", lambda stop: awaited.append(stop.station.endpoint))
+    monkeypatch.setattr(StationStop, "print", closed)
+    assert CliRunner().invoke(cli, ["stop"]).exit_code == 1
+    assert awaited == [station.endpoint for station in stations]
 
 
 @pytest.mark.real_time

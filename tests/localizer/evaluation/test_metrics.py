@@ -236,6 +236,14 @@ def test_a_video_of_many_targets_is_read_once(tmp_path: Path, monkeypatch: pytes
         assert (row.frames, row.median_px, row.max_px) == (single.frames, single.median_px, single.max_px)
 
 
+def test_a_video_that_is_shorter_than_its_truth_is_told(tmp_path: Path) -> None:
+    video = plain_video(tmp_path / "v.avi", 20)
+    truth = idtracker(tmp_path / "truth.txt", [[places(k)[0]] for k in range(30)])
+    for limit, damage in ((None, f"{truth}: tells of 30 frames, and the video has 20"), (15, "")):
+        (row,), sentence = evaluate_plain(video, truth, 64.0, limit)
+        assert (sentence, row.frames) == (damage, min(limit or 20, 20) - 1)
+
+
 def test_a_failure_is_counted_once_and_the_target_shown_again(tmp_path: Path) -> None:
     """From frame 30 on the truth slides off the animal by 8 px a frame: in the fifth it is half a box away."""
     rows = [[places(k)[0] + np.array([0.0, 8.0 * max(k - 30, 0)])] for k in range(39)]
@@ -300,6 +308,12 @@ def test_a_video_of_the_pool_is_localized_again_with_and_without_markers(tmp_pat
     assert rows["robot 1"]["rms_mm"] < 1.5 and rows["robot 1"]["rms_deg"] < 0.5
     assert rows["robot 2"]["rms_mm"] == pytest.approx(8.0, abs=1.5)
     assert rows["marker"]["poses"] == 22, "of twelve pictures; nobody is believed to be seen in the first"
+
+    with truth.open("a") as more:
+        more.write("1,12,0,0,0,0.3\n")
+    done = CliRunner().invoke(cli, command)
+    assert done.exit_code == 1 and f"{truth}: tells of 13 frames, and the video has 12" in done.stderr
+    command += ["--frames", "12"]
 
     starts = ["--set", "robots.0.start=[0.45,0.1,0.26,0.7]", "--set", "robots.1.start=[-0.4,-0.05,0.34,0.0]"]
     done = CliRunner().invoke(cli, [*command, "--no-marker", *starts])

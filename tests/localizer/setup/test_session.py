@@ -313,6 +313,25 @@ def test_a_file_that_somebody_else_changed_is_not_written_over(file: Path) -> No
     assert saved.duration_s == 20.0 and len(saved.camera.masks_px) == 1
 
 
+def test_a_lens_that_somebody_else_wrote_into_the_file_is_taken_up_and_a_pose_by_another_is_not_saved(file: Path) -> None:
+    session = begin(file)
+    show(session, pool_picture())
+    survey(session)
+    do(session, "fit-pose")
+    table = tomllib.loads(LAB)
+    lens = TRUTH.model_dump(mode="json", include={"focal_px", "centre_px", "distortion"})
+    file.write_text(tomli_w.dumps(table | {"camera": table["camera"] | lens | {"masks_px": [MASK]}}), encoding="utf-8")
+    do(session, "reload")
+    state = session.state(1)
+    assert state["changed"] == {} and state["survey"]["residuals"] == [] and "find the pose again" in said(session)
+    assert [mask["corners_px"] for mask in state["masks"]] == [MASK]
+    do(session, "fit-pose")
+    assert set(session.state(1)["changed"]) == {"position_m", "rotation_rad"}
+    do(session, "save")
+    saved = load_experiment(str(file)).camera
+    assert saved.position_m == pytest.approx(TRUTH.position_m, abs=0.02) and saved.focal_px == TRUTH.focal_px
+
+
 @pytest.mark.parametrize("content", [b"duration_s = ", b"duration_s = -5.0", b"\xff\xfe", None])
 def test_a_file_that_is_no_experiment_is_not_taken_up(file: Path, content: bytes | None) -> None:
     """Somebody is half-way through a change, or has moved it away. The page goes on, with what the file held before."""

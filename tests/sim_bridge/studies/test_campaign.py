@@ -1,5 +1,6 @@
 """Campaigns: what is flown, that it can be flown again, resumed, and what the statistics are worth."""
 
+import errno
 import io
 import json
 import shlex
@@ -21,17 +22,19 @@ from typer.testing import CliRunner
 
 from groundstation.analysis.measures import TIMINGS
 from groundstation.analysis.statistics import Interval, mean
+from groundstation.logs import recorder
 from groundstation.planning import planner
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.config.loader import check
-from shoal.errors import ConfigError
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output import terminal
 from shoal.runtime.runtime import Stop
 from shoal.runtime.version import UNKNOWN, code
 from sim_bridge.__main__ import cli
+from sim_bridge.in_process.executor import Executor
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
-from sim_bridge.studies.campaign_flight import planning_text
+from sim_bridge.studies.campaign_flight import fly_one, planning_text
 from sim_bridge.studies.dependence import KeyValue, dependence, dependences, lines, reasons
 from sim_bridge.studies.report import _panel  # a report holds it as a picture
 from sim_bridge.studies.statistics import distribution, quantile, rate
@@ -438,6 +441,21 @@ def test_a_flight_whose_log_found_no_room_is_not_told_as_flown() -> None:
     row = json.loads(done.stdout.splitlines()[-1])
     assert (row["status"], row["reason"].partition(":")[0]) == ("failed", "Failed")
     assert "Cut log" in row["reason"] and "rms_m" not in row
+
+
+def test_a_flight_for_whose_log_there_is_no_room_is_flown_again_by_a_resumed_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = load_experiment("pool", ["duration_s=1.5"]).model_dump_json()
+
+    def full(executor: Executor) -> None:
+        with os_errors_as_config_errors(Path("run.mcap")):
+            raise OSError(errno.ENOSPC, "No space left on device", "run.mcap")
+
+    monkeypatch.setattr(Executor, "fly", full)
+    row = fly_one(experiment)
+    assert (row["status"], row["reason"]) == ("failed", "run.mcap: No space left on device")
+    monkeypatch.setattr(recorder, "disk_free", lambda folder: 0)
+    row = fly_one(experiment)
+    assert row["status"] == "failed" and "0.00 GB free, a run needs" in row["reason"]
 
 
 @pytest.mark.real_time
