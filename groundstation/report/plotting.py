@@ -25,10 +25,8 @@ LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, GAP_IN = 0.85, 0.12, 0.34, 0.48, 0.20
 MOST_LABELS = 8
 ROW_IN = 0.22  # of a bar plot
 LEGEND_ROW_IN = 0.19
-LEGEND_GAP_EM, LEGEND_BESIDE_EM = (
-    2.0,
-    4.8,
-)  # of the font's size, as matplotlib has them: between columns; that, handle and its pad
+LEGEND_GAP_EM = 2.0  # of the font's size, as matplotlib has it between columns
+LEGEND_BESIDE_EM = 2.8 + LEGEND_GAP_EM  # a handle and its pad
 LABELS_TO = 0.2  # of the figure's width: where the names of the rows end
 TIME_LABEL = "time since the start [s]"
 
@@ -132,7 +130,7 @@ def legend(figure: Figure, axes: Axes) -> None:
 
 
 def legend_columns(labels: Iterable[str], width_in: float) -> int:
-    """Entries of a legend with these labels beside one another in a figure of a width: as many as the widest leaves room for."""
+    """Entries of a legend with these labels beside one another in a figure of a width, each as wide as the widest."""
     size_pt, widest_pt = STYLE["legend.fontsize"], 0.0
     font = FontProperties(family=STYLE["font.family"], size=size_pt)
     for label in labels:

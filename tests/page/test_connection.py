@@ -176,9 +176,8 @@ def test_another_page_moves_nothing_on_this_one(browser: Browser, width: int) ->
         lone.own_status = replace(lone.own_status, state=MissionState.RUNNING, began_ns=lone.clock.now_ns())
         lone.page.goto(lone.url)
         expect(button(lone.page, "You have control")).to_be_visible()
-        places = (
-            "[...document.querySelectorAll('header > button, aside')].map((e) => JSON.stringify(e.getBoundingClientRect()))"
-        )
+        every = "[...document.querySelectorAll('header > button, aside')]"
+        places = f"{every}.map((e) => [e.innerText.slice(0, 20), e.offsetLeft, e.offsetTop, e.offsetWidth, e.offsetHeight])"
         before = lone.page.evaluate(places)
         other = browser.new_page()
         other.goto(lone.url)

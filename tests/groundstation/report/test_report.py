@@ -382,5 +382,5 @@ def test_a_legend_of_long_names_lies_whole_above_the_plots(width_in: float) -> N
     canvas.draw()
     drawn, plot = (part.get_window_extent(canvas.get_renderer()) for part in (figure.legends[0], figure.axes[0]))
     assert len(figure.legends[0].get_texts()) == 8
-    assert 0.0 <= drawn.x0 and drawn.x1 <= figure.bbox.x1 and drawn.y1 <= figure.bbox.y1 and drawn.y0 >= plot.y1
+    assert drawn.x0 >= 0.0 and drawn.x1 <= figure.bbox.x1 and drawn.y1 <= figure.bbox.y1 and drawn.y0 >= plot.y1
     assert plot.height == pytest.approx(1.35 * figure.dpi, rel=0.01), "the plots keep their height"
