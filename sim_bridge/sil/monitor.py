@@ -134,8 +134,8 @@ class Monitor:
     def render(self) -> RenderableType:
         """The table and the progress bar, now."""
         since = "-" if self.time_s is None else f"{self.time_s:.1f}"
-        flown = {"completed": max(self.time_s or 0.0, 0.0), "total": self.planned_s}
-        self._progress.update(self._task, **flown, speed=self.pace, since=since)
+        flown_s = max(self.time_s or 0.0, 0.0)
+        self._progress.update(self._task, completed=flown_s, total=self.planned_s, speed=self.pace, since=since)
         table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
         for robot, inbox in self._states.items():
             received = inbox.newest()

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from mcap.writer import Writer
@@ -378,9 +377,8 @@ def test_a_legend_of_long_names_lies_whole_above_the_plots(width_in: float) -> N
     names = [f"{place}{end}" for place in ("front left", "front right", "rear left", "rear right") for end in ends]
     figure = picture(TimePlot([Panel("a [m]", [Curve(name, t, t, "#000000") for name in names])] * 2), width_in)
     assert figure is not None
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    drawn, plot = (part.get_window_extent(canvas.get_renderer()) for part in (figure.legends[0], figure.axes[0]))
+    figure.draw_without_rendering()
+    drawn, plot = (part.get_window_extent() for part in (figure.legends[0], figure.axes[0]))
     assert len(figure.legends[0].get_texts()) == 8
     assert drawn.x0 >= 0.0 and drawn.x1 <= figure.bbox.x1 and drawn.y1 <= figure.bbox.y1 and drawn.y0 >= plot.y1
     assert plot.height == pytest.approx(1.35 * figure.dpi, rel=0.01), "the plots keep their height"
