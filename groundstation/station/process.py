@@ -103,7 +103,7 @@ def cycles(
         inboxes, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
         station = Station(experiment, bus, clock, recorder, mission, tuner, inboxes, threads, insecure=options.insecure)
         station.views = station.fleet()
-        bus.serve(WHOLE_FLEET, station.on_operator_command)
+        bus.serve(WHOLE_FLEET, station.on_operator_command, expires=True)
         log_to_bus(bus, clock, "groundstation")
         log.info("%s", code())
         if options.insecure:

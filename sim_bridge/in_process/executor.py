@@ -353,8 +353,8 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     log_file, succeeded = run_dir / "run.mcap", False
     try:
         with monitor.shown(console) as say:
-            told = partial(launcher.tell_page, options.page, console) if options.page is not None else lambda: None
-            succeeded = executor.fly(say, automatic=not options.manual, page=options.page, came_up=told)
+            print_address = partial(launcher.tell_page, options.page, console) if options.page is not None else lambda: None
+            succeeded = executor.fly(say, automatic=not options.manual, page=options.page, came_up=print_address)
     except (ConfigError, Failed) as error:
         launcher.print_error(console, str(error))
         if isinstance(error, ConfigError) and not log_file.exists():

@@ -163,6 +163,8 @@ def test_clocks_and_times_are_judged_by_their_limits() -> None:
     codes = [findings.same_code(stations, "1.0 abc") for stations in ("1.0 abc", "1.0 abd", "")]
     assert [finding.verdict for finding in codes] == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.WARN]
     assert "1.0 abc" in codes[1].detail and "1.0 abd" in codes[1].detail
+    unknown = findings.same_code("1.0 unknown", "1.0 unknown")
+    assert unknown.verdict is CheckVerdict.WARN and "nobody knows" in unknown.detail
     verdicts = [findings.timing(p50, p99, 0.05, 1).verdict for p50, p99 in ((1, 24), (1, 26), (26, 30))]
     assert verdicts == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.FAIL]
     assert findings.exit_code([CheckFinding("a", CheckVerdict.WARN, ""), CheckFinding("b", CheckVerdict.SKIPPED, "")]) == 0
