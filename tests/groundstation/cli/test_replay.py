@@ -1,4 +1,4 @@
-"""How long `groundstation log replay` serves a recorded run."""
+"""Tests of how long `groundstation log replay` serves a recorded run."""
 
 import threading
 import urllib.request
@@ -17,7 +17,7 @@ from tests.waiting import eventually
 def test_a_recorded_run_waits_for_the_first_page_however_late_a_person_opens_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """--until-closed: what has not been open is not closed."""
+    """With --until-closed, what has not been open is not closed."""
     monkeypatch.setattr(replay, "RETURN_S", 0.0)
     write_run(tmp_path, Script(until_s=1.0))
     address, stop = f"127.0.0.1:{free_port()}", Stop()

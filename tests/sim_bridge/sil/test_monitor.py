@@ -66,7 +66,7 @@ def test_a_run_that_waits_or_holds_gives_the_reason() -> None:
     assert line("pool", {1: tracking(0.0)}, "RUNNING", "mission: waiting for the fleet: depth").endswith("1 tracking 0 mm")
 
 
-def test_what_is_flown_ends_when_it_is_planned_to_by_the_clock_that_is_shown() -> None:
+def test_the_planned_end_of_a_flight_is_told_by_the_clock_beside_it() -> None:
     """After 40 s of the flight, 10 s of it held, robots are 30 s along: what is left begins now."""
     hub = MemoryHub()
     robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
