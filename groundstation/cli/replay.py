@@ -117,7 +117,7 @@ def show(
     with ReplayBackend(run_folder, against, offers, problem) as source, WebServer(source, options) as server:
         if not offers:
             typer.echo(f"{source.experiment.title or source.experiment.name}: {options.url}")
-        closed_s = time.monotonic() + RETURN_S  # then it counts as closed
+        closed_s = time.monotonic() + RETURN_S if offers else math.inf  # then it counts as closed; else nobody had it open yet
         while not stop.requested and source.choice is None and not (until_closed and time.monotonic() > closed_s):
             time.sleep(SLICE_S)
             if server.watched:

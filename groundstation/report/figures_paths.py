@@ -20,11 +20,11 @@ from groundstation.report.plotting import (
     LIGHT,
     RIGHT_IN,
     TIME_LABEL,
+    TOP_IN,
     WIDTH_IN,
     legend,
     legend_columns,
     place,
-    top_in,
 )
 from shoal.config.simulation import Drifter
 from shoal.frames import Array
@@ -43,11 +43,11 @@ def references(series: Series) -> PaperFigure | None:
 
 def _references(series: Series, tracks: dict[int, Array], width_in: float) -> Figure:
     """Side by side, or one below the other on one column's width."""
-    room_in, rows = top_in(len(tracks), width_in), 1 if width_in == WIDTH_IN else 2
-    figure = Figure(figsize=(width_in, room_in + rows * (BOTTOM_IN + 2.4)))
+    rows = 1 if width_in == WIDTH_IN else 2
+    figure = Figure(figsize=(width_in, TOP_IN + rows * (BOTTOM_IN + 2.4)))
     gaps = {"wspace": 0.28} if rows == 1 else {"hspace": BOTTOM_IN / 2.4}
     above, heading = figure.subplots(rows, 3 - rows, gridspec_kw=gaps)
-    place(figure, room_in)
+    place(figure)
     for index, robot in enumerate(series.robots):
         if robot in tracks:
             x, y, _, yaw_rad = tracks[robot].T
@@ -93,7 +93,8 @@ def _space(series: Series, by_robot: dict[int, RobotSeries], width_in: float) ->
     axes.invert_yaxis()  # both, so that depth goes down and the pool's frame stays right-handed
     axes.invert_zaxis()
     axes.set_box_aspect((2.0, 1.0, 0.8), zoom=1.25 if width_in == WIDTH_IN else 1.0)
-    figure.legend(loc="upper left", ncols=legend_columns(width_in), borderaxespad=0.2)
+    labels = [f"robot {robot}" for robot in by_robot]
+    figure.legend(loc="upper left", ncols=legend_columns(labels, width_in), borderaxespad=0.2)
     return figure
 
 
@@ -108,10 +109,9 @@ def _paths(series: Series, width_in: float) -> Figure:
     length, width, _ = series.experiment.pool.size_m
     low, high = _extent(series)
     inside_in = (width_in - LEFT_IN - RIGHT_IN) * float((high - low)[1] / (high - low)[0])
-    room_in = top_in(len(series.robots) + bool(series.experiment.sim.drifters), width_in)
-    figure = Figure(figsize=(width_in, room_in + BOTTOM_IN + min(inside_in, TALLEST_IN)))
+    figure = Figure(figsize=(width_in, TOP_IN + BOTTOM_IN + min(inside_in, TALLEST_IN)))
     axes = figure.subplots()
-    place(figure, room_in)
+    place(figure)
     if series.experiment.pool.walls:
         axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
     for island in series.experiment.islands:

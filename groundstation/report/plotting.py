@@ -6,12 +6,15 @@ alone (references are dashed, truth is dotted, limits are grey).
 
 import io
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 
 from groundstation.report.drawing import BarPlot, Panel, PaperFigure, TimePlot, thin
 
@@ -22,6 +25,8 @@ LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, GAP_IN = 0.85, 0.12, 0.34, 0.48, 0.20
 MOST_LABELS = 8
 ROW_IN = 0.22  # of a bar plot
 LEGEND_ROW_IN = 0.19
+LEGEND_GAP_EM = 2.0  # of the font's size, as matplotlib has it between columns
+LEGEND_BESIDE_EM = 2.8 + LEGEND_GAP_EM  # a handle and its pad
 LABELS_TO = 0.2  # of the figure's width: where the names of the rows end
 TIME_LABEL = "time since the start [s]"
 
@@ -95,11 +100,11 @@ def stack(plot: TimePlot, width_in: float) -> Figure:
     return figure
 
 
-def place(figure: Figure, top_in: float = TOP_IN) -> None:
+def place(figure: Figure) -> None:
     """Give the axes their margins, and their labels one line."""
     width_in, height_in = figure.get_size_inches()
     figure.subplots_adjust(
-        left=LEFT_IN / width_in, right=1 - RIGHT_IN / width_in, top=1 - top_in / height_in, bottom=BOTTOM_IN / height_in
+        left=LEFT_IN / width_in, right=1 - RIGHT_IN / width_in, top=1 - TOP_IN / height_in, bottom=BOTTOM_IN / height_in
     )
     first = figure.axes[0]
     for axes in figure.axes:
@@ -108,26 +113,30 @@ def place(figure: Figure, top_in: float = TOP_IN) -> None:
 
 
 def legend(figure: Figure, axes: Axes) -> None:
-    """One legend above everything, if it is short enough to be read."""
+    """One legend above everything, if it is short enough to be read. Of more rows than have room the figure becomes taller."""
     handles, labels = axes.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
     if 1 <= len(unique) <= MOST_LABELS:
-        columns = min(len(unique), legend_columns(float(figure.get_size_inches()[0])))
-        left = (LEFT_IN - 0.1) / figure.get_size_inches()[0]
+        width_in, height_in = figure.get_size_inches()
+        columns = min(len(unique), legend_columns(unique, width_in))
+        above_in, below_in = (1.0 - figure.subplotpars.top) * height_in, figure.subplotpars.bottom * height_in
+        more_in = max(LEGEND_ROW_IN * -(-len(unique) // columns) + 0.06 - above_in, 0.0)
+        figure.set_size_inches(width_in, height_in + more_in)
+        figure.subplots_adjust(top=1.0 - (above_in + more_in) / (height_in + more_in), bottom=below_in / (height_in + more_in))
+        left = (LEFT_IN - 0.1) / width_in
         figure.legend(
             list(unique.values()), list(unique), loc="upper left", bbox_to_anchor=(left, 1.0), ncols=columns, borderaxespad=0.2
         )
 
 
-def legend_columns(width_in: float) -> int:
-    """Entries of a legend beside one another in a figure of a width."""
-    return max(1, int(6 * width_in / WIDTH_IN))
-
-
-def top_in(entries: int, width_in: float) -> float:
-    """Room above the axes for a legend; on one column's width it takes more rows."""
-    rows = -(-entries // legend_columns(width_in)) if entries <= MOST_LABELS else 0
-    return max(TOP_IN, LEGEND_ROW_IN * rows + 0.06)
+def legend_columns(labels: Iterable[str], width_in: float) -> int:
+    """Entries of a legend with these labels beside one another in a figure of a width, each as wide as the widest."""
+    size_pt, widest_pt = STYLE["legend.fontsize"], 0.0
+    font = FontProperties(family=STYLE["font.family"], size=size_pt)
+    for label in labels:
+        widest_pt = max(widest_pt, text_to_path.get_text_width_height_descent(label, font, ismath=False)[0])
+    entry_pt = widest_pt + LEGEND_BESIDE_EM * size_pt
+    return max(1, int((72.0 * (width_in - LEFT_IN - RIGHT_IN) + LEGEND_GAP_EM * size_pt) / entry_pt))
 
 
 def _compare(axes: Axes, panel: Panel) -> None:

@@ -427,6 +427,7 @@ class Station:
             began_ns=mission.began_ns,
             flown=mission.plans.flown.name,
             flown_s=mission.plans.flown.duration_s,
+            left_s=max(mission.segment.end_s - mission.plans.progress_s, 0.0),
         )
 
     def _log_news(self) -> None:

@@ -30,6 +30,7 @@ class ShownStatus:
     ended: bool = False  # a person has ended the run
     flown: str = ""  # name of the experiment whose path is flown, and the path's duration
     flown_s: float = 0.0
+    left_s: float = 0.0  # until the end of the plan that flies, if nothing holds the robots up
     led: Mapping[int, str] = field(default_factory=dict)  # robots that a person leads one by one, and what they do
 
 

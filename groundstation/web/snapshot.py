@@ -91,6 +91,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "pace": news.pace,
         "flown": status.flown,
         "flown_s": status.flown_s,
+        "left_s": status.left_s,
         "led": [{"robot": robot, "text": text} for robot, text in status.led.items()],
         "robots": [_robot(robot, view) for robot, view in news.robots.items()],
     }

@@ -27,6 +27,7 @@ MISSION_LINE = "mission: "  # begins the station's line about its state
 REASON_CHARS = 300  # of a reason: twenty robots may have one each, and the page has them all
 FEW = 6  # robots that one line can name
 SILENT_S = 3.0  # s of the fleet's time without a state after which a robot is silent
+AT_REST = frozenset({"", "WAITING", "LOADING", "ARMING", "STOPPED", "DONE", "CANCELLED", "FAILED"})  # no flight is under way
 WAITS = frozenset({"WAITING", "PAUSED", "STOPPED", "ABORTING", "FAILED"})  # states whose reason a person wants to read
 
 
@@ -50,7 +51,7 @@ class Monitor:
             TimeElapsedColumn(),
         )
         self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="", since="-")
-        self._flown_s = 0.0
+        self._flown_s, self._planned_s = 0.0, experiment.duration_s
 
     @property
     def mission(self) -> str:
@@ -85,11 +86,14 @@ class Monitor:
 
     @property
     def planned_s(self) -> float:
-        """Planned end of what is flown: a person may have loaded another path."""
+        """Planned end of what is flown, by the clock of `time_s`: a hold, a detour or another path makes it a later one."""
         heartbeat = self._heartbeat.newest()
-        if heartbeat is None or not heartbeat.message.other_path:
-            return self._experiment.duration_s
-        return heartbeat.message.flight_s
+        flight_s = heartbeat.message.flight_s if heartbeat is not None else 0.0
+        if flight_s > 0.0 and self.time_s is None:
+            self._planned_s = flight_s
+        elif flight_s > 0.0 and self.time_s is not None and self.mission not in AT_REST:
+            self._planned_s = max(self.time_s, 0.0) + max(flight_s - self.flown_s, 0.0)
+        return self._planned_s
 
     @property
     def pace(self) -> str:
@@ -130,7 +134,8 @@ class Monitor:
     def render(self) -> RenderableType:
         """The table and the progress bar, now."""
         since = "-" if self.time_s is None else f"{self.time_s:.1f}"
-        self._progress.update(self._task, completed=self.flown_s, total=self.planned_s, speed=self.pace, since=since)
+        flown_s = max(self.time_s or 0.0, 0.0)
+        self._progress.update(self._task, completed=flown_s, total=self.planned_s, speed=self.pace, since=since)
         table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
         for robot, inbox in self._states.items():
             received = inbox.newest()

@@ -169,6 +169,23 @@ def test_the_stop_button_is_whole_in_a_window_of_any_width(browser: Browser, wid
         assert lone.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.parametrize("width", [1024, 1280, 1440])
+def test_another_page_moves_nothing_on_this_one(browser: Browser, width: int) -> None:
+    with lone_station(browser, load_experiment("pool")) as lone:
+        lone.page.set_viewport_size({"width": width, "height": 800})
+        lone.own_status = replace(lone.own_status, state=MissionState.RUNNING, began_ns=lone.clock.now_ns())
+        lone.page.goto(lone.url)
+        expect(button(lone.page, "You have control")).to_be_visible()
+        every = "[...document.querySelectorAll('header > button, aside')]"
+        places = f"{every}.map((e) => [e.innerText.slice(0, 20), e.offsetLeft, e.offsetTop, e.offsetWidth, e.offsetHeight])"
+        before = lone.page.evaluate(places)
+        other = browser.new_page()
+        other.goto(lone.url)
+        expect(lone.page.get_by_text("2 pages")).to_be_visible()
+        assert lone.page.evaluate(places) == before
+        other.close()
+
+
 def test_the_clock_stands_when_the_mission_is_over(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as lone:
         lone.own_status = replace(lone.own_status, state=MissionState.RUNNING, began_ns=lone.clock.now_ns() - 60_000_000_000)

@@ -113,6 +113,7 @@ def test_a_run_that_fails_shows_its_cause_and_an_edit_of_it_flies_next(browser: 
         assert serious(page) == []
         button(page, "Edit and fly").click()
         expect(page.locator(".editor .verdict")).to_contain_text("can be flown")
+        expect(button(page, "Fly this")).to_be_in_viewport()
         page.locator(".editor").get_by_label("duration").fill("2")
         expect(button(page, "Fly this")).to_be_enabled()
         button(page, "Fly this").click()

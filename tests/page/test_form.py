@@ -153,9 +153,28 @@ def test_places_are_typed_where_nobody_can_click(desk: LoneStation) -> None:
     expect(page.get_by_text("1.5, -0.5 m → 0.25, 1 m")).to_be_visible()
     page.get_by_label("Place: x and y in m").fill("1.5,")
     expect(button(page, "Add place")).to_be_disabled()
+    page.get_by_label("Place: x and y in m").fill("5000, 0")
+    expect(button(page, "Add place")).to_be_disabled()
+    expect(page.get_by_text("(5000, 0) m is outside the pool")).to_be_visible()
+    page.keyboard.press("Enter")
     button(page, "Fly there").click()
     expect(page.locator(".given")).to_contain_text("go sent")
+    expect(page.get_by_text("1.5, -0.5 m → 0.25, 1 m")).to_have_count(0)
     assert desk.orders == [CommandKind.GO] and list(desk.via) == [(1.5, -0.5), (0.25, 1.0)]
+
+
+def test_places_that_the_station_refuses_can_be_put_right(desk: LoneStation) -> None:
+    page = desk.page
+    desk.request = lambda *_: ("no way leads to (1.5, -0.5) m", 0)  # type: ignore[method-assign]
+    button(page, "Go to…").click()
+    for text in ("1.5, -0.5", "0.25 1"):
+        page.get_by_label("Place: x and y in m").fill(text)
+        page.keyboard.press("Enter")
+    button(page, "Fly there").click()
+    expect(page.locator(".given")).to_contain_text("go refused: no way leads to (1.5, -0.5) m")
+    expect(page.get_by_text("1.5, -0.5 m → 0.25, 1 m")).to_be_visible()
+    button(page, "Cancel").click()
+    expect(page.get_by_label("Place: x and y in m")).to_have_count(0)
 
 
 def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, experiment: Experiment) -> None:
@@ -185,8 +204,12 @@ def test_time_is_that_of_the_flight_and_negative_before_it(desk: LoneStation) ->
     expect(page.get_by_text("before the flight")).to_be_visible()
     desk.own_status = replace(desk.own_status, began_ns=clock.now_ns() + 10**9)
     expect(page.locator(".log li", has_text="before the flight").locator("time")).to_have_text(re.compile(r"^-\d+(\.\d)? s$"))
-    desk.own_status = replace(desk.own_status, began_ns=_earlier(clock, 65))
-    expect(page.locator("header .clock")).to_have_text(re.compile(r"^1:0\d / "))
+    desk.own_status = replace(desk.own_status, state=MissionState.RUNNING, began_ns=_earlier(clock, 65), left_s=61.0)
+    expect(page.locator("header .clock")).to_have_text(re.compile(r"^1:0\d / 2:(0[6-9]|1\d)$"))  # by the same clock
+    desk.robots.publish(topics.STATE, RobotState(mode=Mode.TRACKING), clock.now_ns(), 1)
+    expect(tile(page, 1)).to_contain_text("tracking")
+    desk.own_status = replace(desk.own_status, state=MissionState.STOPPED)
+    expect(page.locator("header .clock")).to_have_text(re.compile(r"^1:0\d$"))  # nothing goes on, and nothing comes to its end
 
 
 def _earlier(clock: Clock, seconds: int) -> int:

@@ -1,6 +1,7 @@
 """A run's report in a real browser: it needs nothing from outside, fits, and its plots share cursor and time."""
 
 import csv
+import io
 import re
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from xml.etree import ElementTree
 
 import pypdfium2 as pdfium
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser
 
 from groundstation.analysis.measures import MEASURES
@@ -84,7 +86,10 @@ def test_a_broken_runs_report_zooms_together_and_requests_nothing(browser: Brows
 
 
 def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browser, tmp_path: Path) -> None:
-    write_run(tmp_path, Script(until_s=9.0))
+    def mode(_: int, at_s: float) -> tuple[Mode, str]:
+        return (Mode.FAULT, "no pose") if at_s > 8.0 else (Mode.TRACKING, "")
+
+    write_run(tmp_path, Script(until_s=9.0, mode=mode))
     write_report(tmp_path)
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.goto(f"file://{tmp_path / 'report.html'}")
@@ -102,6 +107,7 @@ def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browse
     assert name == "tracking-1col.svg" and drawn.get("width") == "252pt"
     texts = [node.text for node in drawn.iter("{http://www.w3.org/2000/svg}text")]
     assert "time since the start [s]" in texts and any(text and "[mm]" in text for text in texts)
+    assert "fault noticed" in texts and "20 s" not in texts, "each line across the figure is explained, and no other"
     for label in ("tracking", "paths", "timeline"):  # curves, a picture that matplotlib drew, and bars
         page.locator(f"#{label}").scroll_into_view_if_needed()
         name, pdf = saved(f"Save the figure {label}", "pdf-2")
@@ -111,6 +117,9 @@ def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browse
         assert any(unit in opened[0].get_textpage().get_text_range() for unit in ("[s]", "[m]"))
     _, png = saved("Save the figure tracking", "png-1")
     assert png[:4] == b"\x89PNG" and int.from_bytes(png[16:20]) == 2100  # 3.5 in at 600 dpi
+    image = Image.open(io.BytesIO(png))
+    assert image.info["dpi"] == pytest.approx((600, 600), abs=0.1), "a program that places it knows how wide it is"
+    image.load()  # and every part of it has its checksum
     _, data = saved("Save the figure tracking", "csv")
     assert {"0.05", "0.1", "0.15"} <= {row[0] for row in csv.reader(data.decode().splitlines())}, "no digits that are none"
     name, table = saved("Save the table errors", "csv")

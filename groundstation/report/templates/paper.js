@@ -51,14 +51,16 @@
     return [...new Map(lines.filter((l) => l.label).map((l) => [l.label, l])).values()];
   }
 
-  /** Vertical lines at instants: [{at, colour, dash}]. */
+  /** Vertical lines that are in sight, at instants: [{at, label, colour, dash}]. */
+  const inSight = (drawing) => (drawing.instants ?? []).filter(({ at }) => at > drawing.from && at < drawing.to);
+
   function instants(drawing, x, y0, y1) {
-    return (drawing.instants ?? []).filter(({ at }) => at > drawing.from && at < drawing.to).map(({ at, colour, dash }) => line([[x(at), y0], [x(at), y1]], colour, 0.6, dash));
+    return inSight(drawing).map(({ at, colour, dash }) => line([[x(at), y0], [x(at), y1]], colour, 0.6, dash));
   }
 
   /** A drawing {xLabel, from, to, instants, panels: [{label, range, marks, band, words, lines: [{label, colour, dash, dots, x, y}]}]} as items. */
   function layout(drawing, columns) {
-    const total = COLUMN_PT[columns], [items, top] = legend(unique(drawing.panels.flatMap((p) => p.lines)), total - RIGHT);
+    const total = COLUMN_PT[columns], [items, top] = legend(unique([...drawing.panels.flatMap((p) => p.lines), ...inSight(drawing)]), total - RIGHT);
     const tall = Math.min(130, 0.42 * total), right = total - RIGHT;
     const x = (v) => LEFT + ((v - drawing.from) / (drawing.to - drawing.from)) * (right - LEFT);
     let y0 = top;
@@ -101,7 +103,8 @@
   /** Bars {xLabel, from, to, instants, rows: [[name, [{begin_s, length_s, colour, label}]]]} as items. */
   function bars(drawing, columns) {
     const total = COLUMN_PT[columns], left = 8 + Math.max(...drawing.rows.map(([name]) => width(name, SMALL))) + 4, right = total - RIGHT;
-    const [items, top] = legend(unique(drawing.rows.flatMap(([, all]) => all)).map((bar) => ({ ...bar, fill: true })), right);
+    const filled = unique(drawing.rows.flatMap(([, all]) => all)).map((bar) => ({ ...bar, fill: true }));
+    const [items, top] = legend([...filled, ...unique(inSight(drawing))], right);
     const x = (v) => left + ((Math.min(Math.max(v, drawing.from), drawing.to) - drawing.from) / (drawing.to - drawing.from)) * (right - left);
     const bottom = top + 16 * drawing.rows.length;
     for (const at of ticks(drawing.from, drawing.to, columns === 1 ? 5 : 9)) items.push(line([[x(at), top], [x(at), bottom]], GRID), text(String(at), x(at), bottom + 10, { size: SMALL }));
@@ -255,7 +258,24 @@
       }
       pen.restore();
     }
-    return new Promise((done) => canvas.toBlob(done, "image/png"));
+    return new Promise((done) => canvas.toBlob(async (png) => done(await withResolution(png)), "image/png"));
+  }
+
+  /** A PNG that says how many dots it has for an inch, behind its head of 33 bytes: else programs take 72 or 96, and print it larger. */
+  async function withResolution(png) {
+    const chunk = new DataView(new ArrayBuffer(21)), per_m = Math.round(PNG_DPI / 0.0254);
+    chunk.setUint32(0, 9);
+    "pHYs".split("").forEach((c, k) => chunk.setUint8(4 + k, c.charCodeAt(0)));
+    chunk.setUint32(8, per_m);
+    chunk.setUint32(12, per_m);
+    chunk.setUint8(16, 1);
+    let crc = 0xffffffff;
+    for (let k = 4; k < 17; k++) {
+      crc ^= chunk.getUint8(k);
+      for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 ? 0xedb88320 : 0);
+    }
+    chunk.setUint32(17, ~crc >>> 0);
+    return new Blob([png.slice(0, 33), chunk.buffer, png.slice(33)], { type: "image/png" });
   }
 
   function download(content, type, name) {

@@ -205,9 +205,9 @@
 
   /** A plot as paper.js draws it; what is zoomed is what is saved. */
   function onPaper(plot) {
-    const instants = marks.map((mark) => ({ at: mark.time, colour: mark.fault ? FAULT : INK, dash: mark.fault ? [] : [5, 3] }));
+    const instants = marks.map((mark) => ({ at: mark.time, label: mark.fault ? "fault noticed" : "fault injected or over", colour: mark.fault ? FAULT : INK, dash: mark.fault ? [] : [5, 3] }));
     if (plot.rows) return { xLabel: TIME_LABEL, from: (range ?? [plot.begin])[0], to: (range ?? [0, plot.end])[1], instants, rows: plot.rows };
-    if (plot.mark !== null) instants.push({ at: plot.mark, colour: GREY, dash: [1, 3] });
+    if (plot.mark !== null) instants.push({ at: plot.mark, label: `${plot.mark} s`, colour: GREY, dash: [1, 3] });
     const times = plot.times.map(float32), known = times.filter((t) => t.length);
     const whole = [Math.min(...known.map((t) => t[0])), Math.max(...known.map((t) => t[t.length - 1]))];
     const [from, to] = range ?? whole;

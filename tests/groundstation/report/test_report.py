@@ -24,7 +24,7 @@ from groundstation.logs.reader import read_log
 from groundstation.logs.recorder import Recorder
 from groundstation.report import figures, figures_control, figures_errors, figures_paths, terminal
 from groundstation.report.drawing import MOST_POINTS, Curve, Panel, TimePlot, embedded, thin
-from groundstation.report.plotting import picture, to_svg
+from groundstation.report.plotting import COLUMN_IN, WIDTH_IN, picture, to_svg
 from groundstation.report.report import write_report
 from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.config.simulation import Drifter
@@ -369,3 +369,16 @@ def test_thinned_curves_keep_their_gaps() -> None:
     time_s, kept = thin(np.arange(10_000, dtype=np.float64), values)
     assert np.isnan(kept[(time_s > 4010) & (time_s < 4990)]).all()
     assert np.isfinite(kept[(time_s < 3990) | (time_s > 5010)]).all()
+
+
+@pytest.mark.parametrize("width_in", [WIDTH_IN, COLUMN_IN])
+def test_a_legend_of_long_names_lies_whole_above_the_plots(width_in: float) -> None:
+    t, ends = np.linspace(0.0, 1.0, 9), ("", ", echo")
+    names = [f"{place}{end}" for place in ("front left", "front right", "rear left", "rear right") for end in ends]
+    figure = picture(TimePlot([Panel("a [m]", [Curve(name, t, t, "#000000") for name in names])] * 2), width_in)
+    assert figure is not None
+    figure.draw_without_rendering()
+    drawn, plot = (part.get_window_extent() for part in (figure.legends[0], figure.axes[0]))
+    assert len(figure.legends[0].get_texts()) == 8
+    assert drawn.x0 >= 0.0 and drawn.x1 <= figure.bbox.x1 and drawn.y1 <= figure.bbox.y1 and drawn.y0 >= plot.y1
+    assert plot.height == pytest.approx(1.35 * figure.dpi, rel=0.01), "the plots keep their height"

@@ -66,12 +66,19 @@ def test_a_run_that_waits_or_holds_gives_the_reason() -> None:
     assert line("pool", {1: tracking(0.0)}, "RUNNING", "mission: waiting for the fleet: depth").endswith("1 tracking 0 mm")
 
 
-def test_a_path_that_a_person_has_loaded_ends_when_it_is_planned_to() -> None:
+def test_the_planned_end_of_a_flight_is_told_by_the_clock_beside_it() -> None:
+    """After 40 s of the flight, 10 s of it held, robots are 30 s along: what is left begins now."""
     hub = MemoryHub()
     robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
-    for flight_s, other_path, shown in ((136.0, False, " / 120 s"), (100.8, True, " / 101 s")):
-        beat = StationHeartbeat(mission="RUNNING", flight_s=flight_s, other_path=other_path)
-        robots.publish(topics.HEARTBEAT, beat, 1)
+    assert " - / 120 s" in monitor.line()
+    for robot in (1, 2):
+        robots.publish(topics.STATE, RobotState(Mode.TRACKING, trajectory_id="p", trajectory_s=30.0), 1, robot)
+    for mission, flight_s, shown in (
+        ("RUNNING", 120.0, "40.0 / 130 s"),
+        ("RUNNING", 136.0, "40.0 / 146 s"),  # a detour, or another path
+        ("FAILED", 120.0, "40.0 / 146 s"),  # nothing comes any nearer
+    ):
+        robots.publish(topics.HEARTBEAT, StationHeartbeat(mission=mission, flight_s=flight_s, began_ns=10**9), 41 * 10**9)
         assert shown in monitor.line()
 
 

@@ -33,6 +33,17 @@ export function flown(): number | null {
   return Number.isFinite(at_s) ? since(at_s) : null;
 }
 
+/** The end of what the clock shows, by the clock: of a recorded run its end, under way that of the plan, before a flight what is planned.
+ * Null after a flight: nothing goes on. */
+export function planned(): number | null {
+  const [s, state] = [scene.value, shown.value];
+  if (s === null || state === null) return null;
+  if (s.replay) return since(s.replay.end_s);
+  const time_s = flown();
+  if (time_s === null) return state.flown_s || s.duration_s;
+  return AT_REST.includes(state.mission) ? null : Math.max(time_s, 0) + state.left_s;
+}
+
 interface Curve {
   name: string;
   robot?: number; // whose colour it has

@@ -186,6 +186,7 @@ export interface Snapshot {
   next?: "" | "again" | "edited" | "close"; // of an ended run: what a person has chosen
   flown?: string; // name of the experiment whose path is flown, and the path's duration
   flown_s?: number;
+  left_s: number; // until the end of the plan that flies, if nothing holds the robots up
   led: { robot: number; text: string }[]; // robots that a person leads one by one
   localizer: (LocalizerStatus & { age_ms: number }) | null;
   obstacles: (Obstacles & { age_ms: number }) | null;

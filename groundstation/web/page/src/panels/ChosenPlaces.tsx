@@ -1,7 +1,7 @@
 /** Places to fly to: clicked on the map, or typed by keyboard, x and y in m. */
 
 import { signal } from "@preact/signals";
-import { addPlace, choosePlaces, flyThere, places } from "../pool/places";
+import { addPlace, choosePlaces, flyThere, notThere, places } from "../pool/places";
 
 const typed = signal("");
 
@@ -14,20 +14,26 @@ export function placeOf(text: string): [number, number] | null {
 
 function TypedPlace() {
   const place = placeOf(typed.value);
+  const why = place === null ? "" : notThere(...place);
   return (
     <form
       class="typed"
       onSubmit={(event) => {
         event.preventDefault();
-        if (place === null) return;
+        if (place === null || why !== "") return;
         addPlace(...place);
         typed.value = "";
       }}
     >
       <input aria-label="Place: x and y in m" placeholder="x, y in m" value={typed.value} onInput={(event) => (typed.value = event.currentTarget.value)} autocomplete="off" />
-      <button type="submit" disabled={place === null}>
+      <button type="submit" disabled={place === null || why !== ""} title={why}>
         Add place
       </button>
+      {why !== "" && (
+        <span class="reason" role="status">
+          {why}
+        </span>
+      )}
     </form>
   );
 }

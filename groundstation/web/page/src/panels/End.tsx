@@ -118,6 +118,26 @@ function Buttons() {
   );
 }
 
+/** Below the buttons. Not beside an edit, which would begin below what is in sight. */
+function Details({ end, run }: { end: RunEnd | null; run: string }) {
+  return (
+    <>
+      {end && <Figures figures={end.figures} />}
+      {end && <Requirements end={end} />}
+      {end?.notes.map((note) => (
+        <p key={note} class="hint">
+          {note}
+        </p>
+      ))}
+      {run && (
+        <p class="folder">
+          <code>{run}</code>
+        </p>
+      )}
+    </>
+  );
+}
+
 export function End() {
   const s = scene.value;
   if (s?.replay === undefined || (!s.end && s.offers?.length === 0)) return null;
@@ -132,18 +152,7 @@ export function End() {
         </p>
       ))}
       <Buttons />
-      {s.end && <Figures figures={s.end.figures} />}
-      {s.end && <Requirements end={s.end} />}
-      {s.end?.notes.map((note) => (
-        <p key={note} class="hint">
-          {note}
-        </p>
-      ))}
-      {s.run && (
-        <p class="folder">
-          <code>{s.run}</code>
-        </p>
-      )}
+      {!editing.value && <Details end={s.end ?? null} run={s.run ?? ""} />}
     </section>
   );
 }

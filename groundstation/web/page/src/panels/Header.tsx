@@ -2,7 +2,7 @@
 
 import { clock } from "../clock";
 import { isLight, setTheme } from "../colours";
-import { flown } from "../history";
+import { flown, planned } from "../history";
 import { order, releaseControl, takeControl } from "../link";
 import { ask } from "../Question";
 import { mayAlarm, soundOn, toggleSound } from "../sound";
@@ -89,11 +89,20 @@ export function Header() {
           {ended.value ? waiting.value : connected.value ? recorded(state) + state.mission_text + paused(state) : "last known: " + state.mission_text}
         </span>
       )}
-      {s !== null && state !== null && <span class="clock" title="Since the formation's flight began, of what is planned">{flown() === null ? "–" : clock(flown()!)} / {clock(state.flown_s || s.duration_s)}</span>}
-      {connected.value && !ended.value && state !== null && <Pace pace={state.pace ?? null} />}
+      <span class="stack">
+        {s !== null && state !== null && (
+          <span class="clock" title="Since the formation's flight began, and when it will be over if nothing holds it up">
+            {flown() === null ? "–" : clock(flown()!)}
+            {planned() !== null && ` / ${clock(planned()!)}`}
+          </span>
+        )}
+        {connected.value && !ended.value && state !== null && <Pace pace={state.pace ?? null} />}
+      </span>
       <span class="gap" />
-      <Link />
-      {state !== null && state.watchers > 1 && <span class="link">{state.watchers} pages</span>}
+      <span class="stack">
+        <Link />
+        {state !== null && state.watchers > 1 && <span class="link">{state.watchers} pages</span>}
+      </span>
       <Control />
       {s !== null && s.mode !== "replay" && !ended.value && (
         <button

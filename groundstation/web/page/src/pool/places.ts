@@ -3,7 +3,7 @@
 import { effect, signal } from "@preact/signals";
 import { css, robotColour } from "../colours";
 import { order } from "../link";
-import { drawSoon, editing, ended, scene, selected } from "../store";
+import { drawSoon, editing, ended, given, scene, selected } from "../store";
 import type { View } from "./view";
 
 const MOST = 50; // as many as the station takes
@@ -13,8 +13,11 @@ export const places = signal<[number, number][] | null>(null);
 
 export const placesFor = signal(0); // the robot that is sent alone; 0: the formation
 
+const asked = signal(0); // number of the request for these places; 0: none yet
+
 export function choosePlaces(on: boolean, robot = 0): void {
   places.value = on ? [] : null;
+  asked.value = 0;
   placesFor.value = robot;
   drawSoon();
 }
@@ -25,7 +28,14 @@ effect(() => {
   if (!seen && places.peek() !== null) choosePlaces(false);
 });
 
+/** The reason for which nobody is led to a place; empty for one in the pool. Between robots, walls and islands the planner decides. */
+export function notThere(x: number, y: number): string {
+  const [length, width] = scene.value?.pool_m ?? [Infinity, Infinity];
+  return Math.abs(x) <= length / 2 && Math.abs(y) <= width / 2 ? "" : `(${x}, ${y}) m is outside the pool`;
+}
+
 export function addPlace(x: number, y: number): void {
+  if (notThere(x, y) !== "") return;
   const place: [number, number] = [Number(x.toFixed(2)), Number(y.toFixed(2))];
   places.value = placesFor.peek() !== 0 ? [place] : [...(places.peek() ?? []), place].slice(0, MOST);
   drawSoon();
@@ -33,9 +43,16 @@ export function addPlace(x: number, y: number): void {
 
 export function flyThere(): void {
   const chosen = places.peek();
-  if (chosen !== null && chosen.length > 0) order("go", chosen, placesFor.peek());
-  choosePlaces(false);
+  if (chosen === null || chosen.length === 0) return;
+  order("go", chosen, placesFor.peek());
+  asked.value = given.peek()[0]?.n ?? 0;
 }
+
+/** Places stay until the station has taken them: what is refused can be put right. */
+effect(() => {
+  const request = given.value.find(({ n }) => n === asked.value);
+  if (request?.heard && request.refusal === "") choosePlaces(false);
+});
 
 export function drawPlaces(pen: CanvasRenderingContext2D, view: View): void {
   const chosen = places.peek();
