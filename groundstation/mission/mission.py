@@ -678,14 +678,15 @@ class Mission:
         off_plan = [
             f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
         ]
-        away_m, robot = self._go_on_from_rest(fleet, now_ns)
-        if away_m > ON_PATH_M:
-            off_plan = off_plan or [f"robot {robot} is {away_m:.2f} m from its place"]
+        blocked = not off_plan and self._may_replan and self.plans.first_contact(fleet)
+        if not off_plan and not blocked:
+            away_m, robot = self._go_on_from_rest(fleet, now_ns)
+            off_plan = [f"robot {robot} is {away_m:.2f} m from its place"] if away_m > ON_PATH_M else []
         if off_plan:
             self.plans.target_current()
             self._go(MissionEvent.OFF_PLAN, now_ns)
             self.reason = "; ".join(off_plan)
-        elif self._may_replan and self.plans.first_contact(fleet):
+        elif blocked:
             self.plans.target_current()
             self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
 
