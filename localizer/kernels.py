@@ -72,11 +72,14 @@ def pixel_of(camera: Floats, x: float, y: float, z: float) -> tuple[float, float
     foot to the point on the surface. The tangent, by Snell r / sqrt(n^2 (r^2 + h^2) - r^2), stays well-behaved down to depth
     0, where sines of the water angle would divide zero by zero.
     """
-    seen_x = x - camera[9]
-    seen_y = y - camera[10]
-    seen_z = z - camera[11]
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
+    camera_x, camera_y, camera_z = camera[9], camera[10], camera[11]
+    seen_x = x - camera_x
+    seen_y = y - camera_y
+    seen_z = z - camera_z
     if z > 0.0:
-        height = -camera[11]
+        height = -camera_z
         n = camera[21]
         reach = math.sqrt(seen_x * seen_x + seen_y * seen_y)
         r = reach * height / (height + z / n)
@@ -95,10 +98,10 @@ def pixel_of(camera: Floats, x: float, y: float, z: float) -> tuple[float, float
     a = across / along
     b = down / along
     r2 = a * a + b * b
-    radial = 1.0 + r2 * (camera[4] + r2 * (camera[5] + r2 * camera[8]))
-    distorted_a = a * radial + 2.0 * camera[6] * a * b + camera[7] * (r2 + 2.0 * a * a)
-    distorted_b = b * radial + camera[6] * (r2 + 2.0 * b * b) + 2.0 * camera[7] * a * b
-    return camera[0] * distorted_a + camera[2], camera[1] * distorted_b + camera[3]
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    distorted_a = a * radial + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a)
+    distorted_b = b * radial + p1 * (r2 + 2.0 * b * b) + 2.0 * p2 * a * b
+    return fx * distorted_a + cx, fy * distorted_b + cy
 
 
 @kernel

@@ -41,6 +41,7 @@ from shoal.messages.messages import (
     Reply,
     StationHeartbeat,
     StepInputs,
+    StepTiming,
 )
 from shoal.runtime.runtime import Clock, Stop, WallClock, log, log_to_bus, run_steps, wait
 from shoal.runtime.version import code
@@ -357,11 +358,12 @@ class AgentNode:
 
     # --- outputs
 
-    def write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
-        """Send pulses to the board first, then publish plan and state."""
-        step_ns = time.perf_counter_ns() - started_ns
+    def _send_to_board(self, outputs: Outputs, now_ns: int) -> None:
+        """Send a change of arming, once in a while the link's heartbeat, and the pulses."""
         board = self.mavlink.telemetry
-        if outputs.arm is not None and (board.is_thruster_board or not (outputs.arm or board.autopilot_name)):
+        is_unknown = not (board.is_thruster_board or board.autopilot_name)
+        may_change_arming = board.is_thruster_board or (is_unknown and not outputs.arm)  # an unknown board is only disarmed
+        if outputs.arm is not None and may_change_arming:
             self.link.send(self.mavlink.arm(outputs.arm))
         if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
             self._link_heartbeat_s = now_ns * 1e-9
@@ -370,23 +372,30 @@ class AgentNode:
             self._tell_of_strangers()
         if board.is_thruster_board:  # not before its first heartbeat: an autopilot would take pulses for a pilot's sticks
             self.link.send(self.mavlink.pulses(outputs.pulse_us))
+
+    def _with_measured(self, timing: StepTiming, step_ns: int, sending_ns: int) -> StepTiming:
+        """A step's timing with what only this process measures: the step, the time until pulses were sent, the board link."""
+        telemetry = self.mavlink.telemetry
+        return replace(
+            timing,
+            step_us=step_ns * 1e-3,
+            exposure_to_pwm_ms=None if timing.pose_age_ms is None else timing.pose_age_ms + sending_ns * 1e-6,
+            missed_deadlines=self._pace.missed,
+            board_round_trip_ms=telemetry.round_trip_ns * 1e-6,
+            board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
+        )
+
+    def write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
+        """Send pulses to the board first, then publish plan and state."""
+        step_ns = time.perf_counter_ns() - started_ns
+        self._send_to_board(outputs, now_ns)
         sent_ns = time.perf_counter_ns() - started_ns
         if not self.clock.waits:  # where time waits for the step, nothing is late
             self._pace.put_out((sent_ns + now_ns - due_ns) * 1e-9)
         age_ns = 0 if self.clock.waits else sent_ns
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=age_ns)
-        pose_age_ms = outputs.state.timing.pose_age_ms
-        latency_ms = None if pose_age_ms is None else pose_age_ms + (0.0 if self.clock.waits else sent_ns * 1e-6)
-        telemetry = self.mavlink.telemetry
-        timing = replace(
-            outputs.state.timing,
-            step_us=step_ns * 1e-3,
-            exposure_to_pwm_ms=latency_ms,
-            missed_deadlines=self._pace.missed,
-            board_round_trip_ms=telemetry.round_trip_ns * 1e-6,
-            board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
-        )
+        timing = self._with_measured(outputs.state.timing, step_ns, age_ns)
         state = replace(outputs.state, code=code().short, timing=timing)
         self._bus.publish(topics.STATE, state, now_ns, self._robot, age_ns=age_ns)
         if (state.doing, state.fault) != self._logged_state:

@@ -91,13 +91,16 @@ def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
 
 def _of_the_end(series: Series) -> Iterator[Check]:
     """The check of the distance from each robot's place at the end of its trajectory, if the experiment limits it."""
-    limits = series.experiment.limits
-    if limits.arrived_m is not None:
-        ends = {robot: r.error[-1, :2] for robot, r in series.robots.items() if went_all_the_way(series)}
-        away = {robot: float(np.hypot(*end)) for robot, end in ends.items() if np.isfinite(end).all()}
-        last = max(away, key=lambda robot: away[robot]) if len(away) == len(series.robots) else None
-        where = f"robot {last}" if last is not None else "the end was not reached"
-        yield _at_most("from its place at the end", where, away.get(last) if last else None, limits.arrived_m, "m")
+    limits, name = series.experiment.limits, "from its place at the end"
+    if limits.arrived_m is None:
+        return
+    last_errors = {robot: r.error[-1, :2] for robot, r in series.robots.items() if went_all_the_way(series)}
+    away_m = {robot: float(np.hypot(*error)) for robot, error in last_errors.items()}
+    if not away_m or not np.isfinite(list(away_m.values())).all():
+        yield _at_most(name, "the end was not reached", None, limits.arrived_m, "m")
+        return
+    farthest = max(away_m, key=lambda robot: away_m[robot])
+    yield _at_most(name, f"robot {farthest}", away_m[farthest], limits.arrived_m, "m")
 
 
 def _of_the_means(result: Result, series: Series) -> Iterator[Check]:

@@ -352,13 +352,18 @@ def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
 
 def _located(states: Sequence[DecodedMessage[RobotState]], poses: Sequence[DecodedMessage[Pose]]) -> _Samples:
     """Instead of the truth: the localizer's poses, with the depth that the robot measured."""
-    stamps = np.array([e.stamp_ns for e in poses], dtype=np.float64)
-    depth = np.array(
-        [(e.stamp_ns, e.message.board.depth_m) for e in states if e.message.board is not None], dtype=np.float64
-    ).reshape(-1, 2)
-    depth_m = np.interp(stamps, depth[:, 0], depth[:, 1]) if len(depth) else np.full(len(stamps), np.nan)
-    rows = [[e.message.x_m, e.message.y_m, z, e.message.yaw_rad] for e, z in zip(poses, depth_m, strict=True)]
-    return _samples(list(stamps), [np.array(row) for row in rows])
+    stamps = np.array([entry.stamp_ns for entry in poses], dtype=np.float64)
+    measured = [(entry.stamp_ns, entry.message.board.depth_m) for entry in states if entry.message.board is not None]
+    if measured:
+        measured_at, measured_m = np.array(measured, dtype=np.float64).T
+        depth_m = np.interp(stamps, measured_at, measured_m)
+    else:
+        depth_m = np.full(len(stamps), np.nan)
+    etas = []
+    for entry, z in zip(poses, depth_m, strict=True):
+        pose = entry.message
+        etas.append(np.array([pose.x_m, pose.y_m, z, pose.yaw_rad]))
+    return _samples(list(stamps), etas)
 
 
 def _samples(stamps: Sequence[float], rows: Sequence[Array]) -> _Samples:

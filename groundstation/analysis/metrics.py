@@ -1,6 +1,7 @@
 """From aligned arrays to the figures of a run; acceptance.py says whether they are good enough. Pure."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import Any
@@ -28,6 +29,7 @@ from groundstation.analysis.series import (
     Mask,
     RobotSeries,
     Series,
+    States,
     TimelineEvent,
     active_limits,
 )
@@ -38,6 +40,10 @@ from shoal.frames import Array, pose_error, wrap_angle
 from shoal.messages import topics
 from shoal.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat, Truth
 
+STARTED = "START asked for"  # the station's line (groundstation/station/station.py)
+ENDS = tuple(
+    f"mission: {words}" for words in ("aborting", "failed", "disarming: a person", "ended by a person", "emergency stop")
+)
 UNARMED = frozenset({Mode.DISARMED, Mode.STOPPED, Mode.FAULT})
 
 
@@ -47,12 +53,18 @@ def evaluate(series: Series, log: RunLog) -> Result:
     robots = {str(robot): dataclasses.replace(_robot(series, robot), end=_end(log, robot)) for robot in experiment.robot_ids}
     pairs = {f"{a}-{b}": _pair(series, a, b) for a, b in combinations(experiment.robot_ids, 2)}
     flying = [r.states.tracking & _within(r.states.time_s, series) for r in each]
-    step_us = np.concatenate([r.states.timing(lambda t: t.step_us)[rows] for r, rows in zip(each, flying, strict=True)])
-    latency_ms = np.concatenate(
-        [r.states.timing(lambda t: t.exposure_to_pwm_ms)[rows] for r, rows in zip(each, flying, strict=True)]
-    )
+
+    def in_flight(values_of: Callable[[States], Array]) -> Array:
+        """A value of the steps in which a robot flies, of all robots one after the other."""
+        return np.concatenate([values_of(r.states)[rows] for r, rows in zip(each, flying, strict=True)])
+
+    step_us = in_flight(lambda states: states.timing(lambda t: t.step_us))
+    latency_ms = in_flight(lambda states: states.timing(lambda t: t.exposure_to_pwm_ms))
+    slack_m = in_flight(lambda states: states.control(lambda c: c.slack_m))
+    board_loss = in_flight(lambda states: states.board(lambda b: b.loss))
     located = np.concatenate([r.pose_error[_within(r.pose_time_s, series)] for r in each])
-    steps, missed = sum(r.control_steps for r in robots.values()), sum(r.missed_deadlines for r in robots.values())
+    steps = sum(r.control_steps for r in robots.values())
+    missed = sum(r.missed_deadlines for r in robots.values())
     wear = [r.dtau_rms for r in robots.values() if r.dtau_rms is not None]
     settled_wear = [r.dtau_rms_after_20s for r in robots.values() if r.dtau_rms_after_20s is not None]
     result = Result(
@@ -83,8 +95,8 @@ def evaluate(series: Series, log: RunLog) -> Result:
         checks=(),
         latency_hops_ms=_hops(each, flying),
         at_limit=_at_limit(series, flying),
-        slack_m=_most(r.states.control(lambda c: c.slack_m)[rows] for r, rows in zip(each, flying, strict=True)),
-        board_loss=_most(r.states.board(lambda b: b.loss)[rows] for r, rows in zip(each, flying, strict=True)),
+        slack_m=_most(slack_m),
+        board_loss=_most(board_loss),
         messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
         cameras_out=_cameras_out(series, log),
         faults=faults([h for h in series.timeline_events if _in_flight(h, series)]),
@@ -135,22 +147,21 @@ def _robot(series: Series, robot: int) -> RobotResult:
     window = _within(states.time_s, series)
     command_rad = states.control(lambda c: c.eta_command)[:, 3]
     tracking = window & states.tracking & np.isfinite(command_rad)
-    yaw = wrap_angle(mine.truth_at_states[tracking, 3] - command_rad[tracking])
     settled = states.time_s[tracking] >= SETTLED_S
-    unexplained = states.estimate(lambda e: e.disturbance)[tracking] - mine.disturbance_at_states[tracking]
+    yaw_error_rad = wrap_angle(mine.truth_at_states[tracking, 3] - command_rad[tracking])
+    disturbance_error = states.estimate(lambda e: e.disturbance)[tracking] - mine.disturbance_at_states[tracking]
+    wrench_steps = states.control(lambda c: c.wrench_step)[tracking]
+    pulses_us = states.of(lambda s: s.pulse_us, CHANNELS)[tracking]
+    thruster_pulses_us = pulses_us[:, : series.experiment.vehicle.thruster_count]
     missed = np.diff(states.timing(lambda t: t.missed_deadlines)[window])
-    steps = states.control(lambda c: c.wrench_step)[tracking]
-    pulses = np.diff(
-        states.of(lambda s: s.pulse_us, CHANNELS)[tracking][:, : series.experiment.vehicle.thruster_count], axis=0
-    )
     return RobotResult(
         **_fields(_errors(mine.error, series.time_s)),
-        rms_yaw_command_rad=_rms(yaw),
-        rms_yaw_command_after_20s_rad=_rms(yaw[settled]),
-        dtau_rms=_column_rms(steps),
-        dtau_rms_after_20s=_column_rms(steps[settled]),
-        pulse_step_rms_us=_rms(pulses),
-        disturbance_error_rms=_column_rms(unexplained),
+        rms_yaw_command_rad=_rms(yaw_error_rad),
+        rms_yaw_command_after_20s_rad=_rms(yaw_error_rad[settled]),
+        dtau_rms=_column_rms(wrench_steps),
+        dtau_rms_after_20s=_column_rms(wrench_steps[settled]),
+        pulse_step_rms_us=_rms(np.diff(thruster_pulses_us, axis=0)),
+        disturbance_error_rms=_column_rms(disturbance_error),
         control_steps=int(window.sum()),
         missed_deadlines=int(missed[missed > 0.0].sum()),  # falls only when a restarted process counts anew
         baseline=_still(mine, mine.reference, series.time_s),
@@ -238,17 +249,18 @@ def _hops(robots: Iterable[RobotSeries], flying: Sequence[Mask]) -> dict[str, Qu
 
 def _at_limit(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
     """For each limit of the controller the share of steps at it, of the robot with the largest share."""
-    shares = [
-        {name: float(active[rows].mean()) for name, active in active_limits(series, r).items()}
-        for r, rows in zip(series.robots.values(), flying, strict=True)
-        if rows.any()
-    ]
-    return {name: max(share[name] for share in shares) for name in shares[0]} if shares else {}
+    largest: dict[str, float] = {}
+    for robot, rows in zip(series.robots.values(), flying, strict=True):
+        if not rows.any():
+            continue
+        for name, is_active in active_limits(series, robot).items():
+            share = float(is_active[rows].mean())
+            largest[name] = max(share, largest.get(name, 0.0))
+    return largest
 
 
-def _most(values: Iterable[Array]) -> float | None:
-    all_values = np.concatenate(list(values))
-    known_values = all_values[np.isfinite(all_values)]
+def _most(values: Array) -> float | None:
+    known_values = values[np.isfinite(values)]
     return float(known_values.max()) if known_values.size else None
 
 
@@ -345,6 +357,8 @@ def _of_the_flight(series: Series) -> Iterator[str]:
             f"The log holds {len(series.flights)} flights. This is a report of number {series.flight} alone; "
             "`groundstation log report RUN --flight N` makes one of another."
         )
+    if in_vain := _asked_in_vain(series):
+        yield in_vain
     if not series.started:
         yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
     elif series.sent_home_s is not None and not went_all_the_way(series):
@@ -353,6 +367,18 @@ def _of_the_flight(series: Series) -> Iterator[str]:
         yield f"The run is not complete: {series.flown_s:.1f} s of {series.asked_s:g} s were flown by the slowest robot."
     elif series.asked_s < planned_s - series.experiment.controller.period_s:
         yield f"The path was over after {series.asked_s:.1f} s, before the {planned_s:g} s of the experiment."
+
+
+def _asked_in_vain(series: Series) -> str:
+    """Sentence about a start after the last flight, by which nobody flew; empty if there was none."""
+    over_s = max(((flight.over_ns - series.start_ns) * 1e-9 for flight in series.flights), default=math.inf)
+    reports = [e for e in series.timeline_events if e.source == "groundstation" and e.last_s > over_s]
+    starts = [k for k, e in enumerate(reports) if e.text == STARTED]
+    if not starts:
+        return ""
+    ends = (e.text.removeprefix("mission: ") for e in reports[starts[-1] + 1 :] if e.text.startswith(ENDS))
+    why, at_s = next(ends, ""), reports[starts[-1]].last_s
+    return f"At {at_s:.1f} s, after this, another start was asked for, and nobody flew{f': {why}' if why else ''}."
 
 
 def _least(values: Iterable[float | None]) -> float | None:

@@ -18,24 +18,32 @@ def once(events: Iterable[TimelineEvent]) -> tuple[TimelineEvent, ...]:
     """The events in order of time, each once. Left out are an agent's words for a mode that its states show, and replies
     that such a mode confirms. A line that repeats is one event with its number and last time; what comes from the flight's
     beginning on, at 0, is another event than the same before."""
-    ordered = sorted((replace(e, source=_source(e.source)) for e in events), key=lambda e: e.time_s)
+    named = [replace(event, source=_source(event.source)) for event in events]
     kept: list[TimelineEvent] = []
-    latest: dict[tuple[str, str], int] = {}  # place in `kept` of the latest event with these words
-    for event in ordered:
-        key = (event.source, event.text)
-        before = kept[latest[key]] if key in latest else None
-        before = before if before is not None and (before.time_s >= 0.0) is (event.time_s >= 0.0) else None
-        if before is not None and event.source.startswith("robot ") and event.time_s - before.last_s <= SAME_S:
-            continue
-        if before is not None and event.time_s - before.last_s <= REPEATED_S:
-            kept[latest[key]] = replace(before, until_s=event.time_s, times=before.times + 1)
-            continue
+    latest: dict[tuple[str, str, bool], int] = {}  # place in `kept` of the latest event with these words
+    for event in sorted(named, key=lambda event: event.time_s):
+        key = (event.source, event.text, event.time_s >= 0.0)
+        if key in latest:
+            earlier = kept[latest[key]]
+            since_s = event.time_s - earlier.last_s
+            if event.source.startswith("robot ") and since_s <= SAME_S:
+                continue
+            if since_s <= REPEATED_S:
+                kept[latest[key]] = replace(earlier, until_s=event.time_s, times=earlier.times + 1)
+                continue
         latest[key] = len(kept)
         kept.append(event)
-    modes: dict[tuple[str, str], list[float]] = {}
+
+    times_of: dict[tuple[str, str], list[float]] = {}  # of the events that begin with a mode, by source and mode
     for event in kept:
-        modes.setdefault((event.source, event.text.partition(": ")[0]), []).append(event.time_s)
-    return tuple(e for e in kept if not any(abs(at_s - e.time_s) <= SAME_S for at_s in modes.get(_confirmation(e), ())))
+        mode, _, _ = event.text.partition(": ")
+        times_of.setdefault((event.source, mode), []).append(event.time_s)
+
+    def is_confirmed(event: TimelineEvent) -> bool:
+        mode_times = times_of.get(_confirmation(event), [])
+        return any(abs(time_s - event.time_s) <= SAME_S for time_s in mode_times)
+
+    return tuple(event for event in kept if not is_confirmed(event))
 
 
 def faults(events: Sequence[TimelineEvent]) -> tuple[TimelineEvent, ...]:

@@ -33,6 +33,7 @@ CLOCK_HZ = 90_000  # of the film's stamps
 CLOCKS = (topics.STATE, topics.HEARTBEAT, topics.LOCALIZER)  # topics that say how old they were when they were sent
 TRAIL = 600  # states of a robot's trail: half a minute
 RING = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 33)])
+CROSS_M = 0.06  # half of the cross at a reference
 FLIES = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
 
 
@@ -153,22 +154,24 @@ class Overlay:
         def write(at: tuple[float, float], text: str, colour: str) -> None:
             pen.text(at, text, fill=colour, font=font, stroke_width=2, stroke_fill="black")
 
-        for place, (robot, (state, estimate)) in enumerate(sorted(self._states.items(), key=lambda item: item[0])):
-            colour = colour_of(place)
+        radius_m = self._experiment.vehicle.radius_m
+        for index, robot in enumerate(sorted(self._states)):
+            state, estimate = self._states[robot]
+            colour = colour_of(index)
             x, y, z, yaw = estimate.eta
             if len(self._trails[robot]) > 1:
                 line(np.array(self._trails[robot]), colour, 2)
-            radius_m = self._experiment.vehicle.radius_m
-            line(np.column_stack([np.array([x, y]) + radius_m * RING, np.full(len(RING), z)]), colour, 3)
+            hull = np.column_stack([np.array([x, y]) + radius_m * RING, np.full(len(RING), z)])
+            line(hull, colour, 3)
             nose = np.array([[x, y, z], [x + 1.5 * radius_m * np.cos(yaw), y + 1.5 * radius_m * np.sin(yaw), z]])
             line(nose, colour, 3)
-            if state.mode in FLIES and state.control is not None:
-                at = state.control.eta_reference[:3]
-                for arm in (np.array([0.06, 0.0, 0.0]), np.array([0.0, 0.06, 0.0])):
-                    line(np.array([at - arm, at + arm]), "white", 2)
-            name = project(self._camera, np.array([[x + 1.3 * radius_m, y, z]]))[0] * scale
-            if np.isfinite(name).all():
-                write((float(name[0]), float(name[1])), str(robot), colour)
+            if state.mode in FLIES and state.control is not None:  # a cross at its reference
+                reference = state.control.eta_reference[:3]
+                for arm in (np.array([CROSS_M, 0.0, 0.0]), np.array([0.0, CROSS_M, 0.0])):
+                    line(np.array([reference - arm, reference + arm]), "white", 2)
+            (name_at,) = project(self._camera, np.array([[x + 1.3 * radius_m, y, z]])) * scale
+            if np.isfinite(name_at).all():
+                write((float(name_at[0]), float(name_at[1])), str(robot), colour)
         since = f"{(stamp_ns - self._began_ns) * 1e-9:7.2f} s" if self._began_ns else "before the start"
         text = f"{since}   {self._mission.lower().replace('_', ' ')}"
         write((10.0, 8.0), text, "white")

@@ -59,7 +59,7 @@ class _Copy:
             if isinstance(record, Channel) and record.id in channels and not self._viewer:
                 self._register_scene(record.topic, *channels[record.id][:2])
             elif line is not None:
-                self._look(line)
+                self._add_to_scene(line)
         self._writer.finish()
         return self._fleet
 
@@ -71,8 +71,8 @@ class _Copy:
             schema = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
             self._viewer[name] = self._writer.register_channel(f"{self._fleet}{name}", "protobuf", schema)
 
-    def _look(self, line: LogMessage) -> None:
-        """A scene shows what was there before its own instant."""
+    def _add_to_scene(self, line: LogMessage) -> None:
+        """Take a message into the scene; before that, draw the scene if it is due: it shows what came before its instant."""
         if line.arrived_ns >= self._next_ns:
             self._draw(line.arrived_ns)
         if line.topic in DRAWN:

@@ -32,6 +32,7 @@ from shoal.messages.labels import labels
 from shoal.messages.schema import nested_message, present_type
 from shoal.messages.session_clocks import SessionClocks
 from shoal.messages.topics import Topic
+from shoal.runtime import runtime
 from shoal.runtime.output_files import RUN, check_output, replacing_together
 
 NOTHING = np.zeros(0)
@@ -100,8 +101,11 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
 
 def table(log: Path, topic: Topic, robot: int = 0) -> dict[str, NDArray[Any]]:
     """One table of a log in memory: its columns by name. Numbers that are not there are NaN, other cells None. Messages that
-    cannot be decoded are left out. Raises ConfigError for a log without messages."""
-    zero, _ = _zero(log)
+    cannot be decoded are left out; what is wrong with the log as a whole is a warning. Raises ConfigError for a log without
+    messages."""
+    zero, trouble = _zero(log)
+    if trouble:
+        runtime.log.warning("%s: %s", log, trouble)
     named = columns(topic.type)
     lines: list[list[Any]] = []
     for line in valid_messages(log):
@@ -200,30 +204,35 @@ def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: 
     """Columns of a message's field: one for a value, one for each number of an array."""
     label = labels(cls).get(name)
     names = label.columns if label is not None and label.parts else None
+    column = f"{prefix}{name}"
+
+    def of_value(shown: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
+        """A cell made from the field's value, the same in each row."""
+        return lambda message, row: shown(getattr(message, name))
+
     if shape is not None and -1 in shape and not listed:  # a list within a message
         if cls is messages.Trajectory:  # it has a table of its own
-            return [TableColumn(f"{prefix}{name}_samples", int, lambda m, row: len(getattr(m, name)))]
-        return [TableColumn(f"{prefix}{name}", str, lambda m, row: json.dumps(getattr(m, name).tolist()))]
+            return [TableColumn(f"{column}_samples", int, of_value(len))]
+        return [TableColumn(column, str, of_value(lambda values: json.dumps(values.tolist())))]
     if shape is not None:
-        size = len(names) if names is not None else int(np.prod([n for n in shape if n != -1]))
-        of_row = -1 in shape
-        named = names or tuple(f"{name}_{k}" for k in range(size))
-        return [TableColumn(prefix + named[k], float, _number(name, k, of_row)) for k in range(size)]
+        if names is None:
+            names = tuple(f"{name}_{k}" for k in range(int(np.prod([n for n in shape if n != -1]))))
+        return [TableColumn(prefix + part, float, _number(name, k, -1 in shape)) for k, part in enumerate(names)]
     if names is not None:
-        return [TableColumn(prefix + names[k], int, _entry(name, k)) for k in range(len(names))]
+        return [TableColumn(prefix + part, int, _entry(name, k)) for k, part in enumerate(names)]
     if get_origin(hint) is tuple:
-        return [TableColumn(prefix + name, str, _text(name))]
+        return [TableColumn(column, str, _text(name))]
     nested = nested_message(hint)
     if nested is not None:
-        return [TableColumn(c.name, c.kind, _within(name, c)) for c in columns(nested, f"{prefix}{name}.")]
+        return [TableColumn(c.name, c.kind, _within(name, c)) for c in columns(nested, f"{column}.")]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
-        return [TableColumn(prefix + name, str, lambda m, row: getattr(m, name).name)]
+        return [TableColumn(column, str, of_value(lambda value: value.name))]
     if hint is bytes:
-        return [TableColumn(f"{prefix}{name}_bytes", int, lambda m, row: len(getattr(m, name)))]
+        return [TableColumn(f"{column}_bytes", int, of_value(len))]
     if name.endswith("session") or name == "recipient":  # 64 bits without a sign
-        return [TableColumn(prefix + name, str, lambda m, row: f"{getattr(m, name):x}")]
+        return [TableColumn(column, str, of_value(lambda value: f"{value:x}"))]
     kind = present_type(hint)
-    return [TableColumn(prefix + name, kind if kind in (float, int, bool) else str, lambda m, row: getattr(m, name))]
+    return [TableColumn(column, kind if kind in (float, int, bool) else str, of_value(lambda value: value))]
 
 
 def _number(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:

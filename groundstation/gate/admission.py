@@ -9,7 +9,7 @@ is a listener of the router, of their own. Within a lane origins take turns, so 
 """
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from ipaddress import ip_address, ip_network
@@ -262,11 +262,15 @@ class Admission:
     def overdue(self, now_s: float) -> tuple[int, ...]:
         """Connections to be closed now: silent, unserved or unproven for too long. The waiting ones are forgotten here; for
         the others `ended` is still to be called."""
-        late = [c for one in self._crowd.values() for c, since_s in one.silent.items() if now_s - since_s >= HELLO_S]
-        late += [c for one in self._crowd.values() for c, since_s in one.ready.items() if now_s - since_s >= TURN_S]
-        for connection in late:
+
+        def late(since_s: Mapping[int, float], within_s: float) -> list[int]:
+            return [connection for connection, began_s in since_s.items() if now_s - began_s >= within_s]
+
+        silent = [connection for crowd in self._crowd.values() for connection in late(crowd.silent, HELLO_S)]
+        unserved = [connection for crowd in self._crowd.values() for connection in late(crowd.ready, TURN_S)]
+        for connection in (*silent, *unserved):
             self.gone(connection)
-        return (*late, *(c for c, since_s in self._unproven.items() if now_s - since_s >= PROOF_S))
+        return (*silent, *unserved, *late(self._unproven, PROOF_S))
 
     def turns(self, now_s: float) -> Iterator[tuple[int, int]]:
         """Connections whose turn it is to go to the router, with their lane: origin after origin."""

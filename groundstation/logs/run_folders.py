@@ -132,8 +132,12 @@ def size_mb(folder: Path) -> float:
 
 def _listed(log: Path) -> ListedRun:
     """The row of one run in the list, from its log, its result and its label."""
-    result, (name, tags) = read_json(log.parent / "result.json"), label_of(log.parent)
+    result = read_json(log.parent / "result.json")
+    name, tags = label_of(log.parent)
     passed = result.get("passed")
+    verdict = NO_RESULT
+    if isinstance(passed, bool):
+        verdict = _text(result.get("verdict")) or ("passed" if passed else "failed")
     return ListedRun(
         run=str(log.parent),
         name=name,
@@ -143,9 +147,7 @@ def _listed(log: Path) -> ListedRun:
         mode=_text(result.get("mode")),
         duration_s=_seconds(result.get("duration_s")),
         size_mb=size_mb(log.parent),
-        verdict=NO_RESULT
-        if not isinstance(passed, bool)
-        else _text(result.get("verdict")) or ("passed" if passed else "failed"),
+        verdict=verdict,
         commit=_text(result.get("commit")),
     )
 

@@ -15,7 +15,7 @@ from enum import Enum
 from groundstation.mission.command_dispatcher import CommandResult, RetryTimer
 from groundstation.mission.lap_statistics import FlownLaps
 from groundstation.mission.timetable import START_IN_S
-from groundstation.telemetry import Fleet
+from groundstation.telemetry import Fleet, RobotView
 from shoal.config.controller import ControllerConfig
 from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
@@ -244,15 +244,14 @@ class GainUpdater:
 
     def _update_returned(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Give robots that have other gains the fleet's gains."""
-        differing = tuple(
-            robot
-            for robot, view in fleet.items()
-            if view.heard
-            and view.state is not None
-            and view.mode is not Mode.STOPPED
-            and view.state.experiment_hash == self._experiment.hash
-            and view.state.tuning_id != self._flown.id
-        )
+
+        def needs_gains(view: RobotView) -> bool:
+            if not view.heard or view.state is None or view.mode is Mode.STOPPED:
+                return False
+            is_of_this_experiment = view.state.experiment_hash == self._experiment.hash
+            return is_of_this_experiment and view.state.tuning_id != self._flown.id
+
+        differing = tuple(robot for robot, view in fleet.items() if needs_gains(view))
         if differing and now_ns - self._since_ns > AGAIN_S * 1e9:
             self._begin_stage(_Change(self._flown, self._config, differing, back=True, returned=True), now_ns)
         return ()

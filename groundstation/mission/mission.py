@@ -160,7 +160,8 @@ class Mission:
         self._awaits_operator = False  # a person took a hand in it, or only a person can tell how to go on
         self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
-        # How the last flight ended that the report judges: one with a START. None while it is under way, or before the first
+        # How the last flight ended that was asked for by START, or by nobody in an automatic mission, and how the way to it if
+        # nobody flew. None while it is under way, or before the first
         self.verdict: MissionState | None = None
 
     @property
@@ -199,6 +200,8 @@ class Mission:
             self._may_arm(now_ns)
         if order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST):
             self._begin_run()
+        if order is CommandKind.START:
+            self.verdict = None
         self._last_state = {CommandKind.LOAD: MissionState.LOADING, CommandKind.ARM: MissionState.ARMING}.get(order)
         at_rest = before in AT_REST and order in OTHER_FLIGHTS
         if order is not CommandKind.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
@@ -236,7 +239,7 @@ class Mission:
                 self.plans.target_return()
             else:
                 self.plans.target_slots()
-        if order in OTHER_FLIGHTS and self.state is MissionState.PAUSED and self._has_gap:
+        if order in OTHER_FLIGHTS and self.state is MissionState.PAUSED and self._would_have_gap:
             self._close_slots(fleet)
         if order in OTHER_FLIGHTS and self.state in AT_REST:
             self.plans.reset()  # it begins another run, with all robots
@@ -318,6 +321,7 @@ class Mission:
             began_ns = self.began_ns
             self._begin_run()
             self._run.homeward, self.began_ns = True, began_ns  # the way home belongs to the flight before, as in the report
+        self._run.gap = self._run.gap or self.roster.closed  # home they fly each to its own start, and may then fly on
         for robot in self.roster.active:
             why = unfit_to_return(self._context(fleet), robot)
             if why:
@@ -517,11 +521,12 @@ class Mission:
             return
         robot, why = loss
         policy = self._experiment.mission.lost
-        returns = self.segment.is_return or self._awaits_return or (self.state in PLANNING and self.plans.targets_return)
+        returns = self.plans.targets_return if self.state in PLANNING else self.segment.is_return or self._awaits_return
         if policy == "abort" or len(self.roster.active) == 1:
             self._fail(MissionEvent.LOST, f"robot {robot}: {why}", now_ns)
             return
         self.roster.mark_lost(robot, why)
+        self._run.gap = self._run.gap or policy == "close-up"
         if policy == "hold":
             if self.state in PLANNING:
                 self._drop_disarmed(fleet)
@@ -532,7 +537,6 @@ class Mission:
                 self._go(MissionEvent.LOST_HOLD, now_ns)
             self._awaits_operator = True
         elif policy == "close-up" and not returns:
-            self._run.gap = True
             held = self._awaits_operator or self._may_not_fly(fleet)
             if not (held and self.state is MissionState.PAUSED):  # else when they may go on
                 self._close_up(fleet, now_ns)
@@ -548,20 +552,26 @@ class Mission:
 
     @property
     def _has_gap(self) -> bool:
-        """True if robots are to close up where one was lost, whatever a person asks of those that hold."""
-        closes = self._experiment.mission.lost == "close-up" and not self.segment.is_return
+        """True if robots are to close up where one was lost, whatever a person asks of those that hold. On the way home, where
+        each flies to its own start, there is no formation."""
+        return self._would_have_gap and not self.segment.is_return
+
+    @property
+    def _would_have_gap(self) -> bool:
+        """True if the formation would have a gap, in the slots that its robots have now, that they are to close."""
+        closes = self._experiment.mission.lost == "close-up"
         return closes and (self._run.gap or self.roster.trouble) and self.roster.has_gap
 
     def _close_slots(self, fleet: Fleet) -> None:
         self._run.gap = False
-        self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
+        self.roster.reassign_slots(*self.plans.formation, fleet)
 
     def _close_up(self, fleet: Fleet, now_ns: int) -> None:
         """Close the gap of a lost robot: assign slots anew, and plan the way into them."""
         self._close_slots(fleet)
         if self._form:  # the gap closes on the way into the form that was asked for
             self.plans.target_form(self._form)
-        else:
+        elif not (self.state in PLANNING and self.plans.targets_flight):  # or on the way to the path that was
             self.plans.target_slots()
         self._go(MissionEvent.LOST_CLOSE_UP, now_ns)
 
@@ -628,8 +638,9 @@ class Mission:
         if stage.order is CommandKind.DISARM and not self._dispatcher.has_sent(robot):
             return False
         view = fleet[robot]
-        counts = self._spoke(view, now_ns) or (view.heard and stage.order not in (CommandKind.DISARM, CommandKind.CLEAR_STOP))
-        return counts and stage.confirmed(view.mode, self.roster.has_loaded(self.segment, fleet, robot))
+        needs_newer_state = stage.order in (CommandKind.DISARM, CommandKind.CLEAR_STOP)
+        is_fresh = self._spoke(view, now_ns) or (view.heard and not needs_newer_state)
+        return is_fresh and stage.confirmed(view.mode, self.roster.has_loaded(self.segment, fleet, robot))
 
     def _spoke(self, view: RobotView, now_ns: int) -> bool:
         """True if a robot's newest state was sent since the mission's state began, however late it came."""
@@ -697,18 +708,20 @@ class Mission:
         plans, vehicle, period_s = self.plans, self._experiment.vehicle, self._experiment.controller.period_s
         left_s = min(self.segment.end_s - plans.progress_s, REST_WITHIN_S)  # by then they had come to rest
         ahead_s = plans.progress_s + period_s * np.arange(max(round(left_s / period_s), 1), dtype=np.float64)
-        paths = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
-        if not paths:
+        poses_ahead = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
+        if not poses_ahead:
             return 0.0, 0
-        away_m = np.array([np.linalg.norm(eta[:, :3] - _rest_m(fleet[r]), axis=1) for r, eta in paths.items()])
-        nearest = int(np.argmin(np.append(np.diff(away_m.max(axis=0)) < 0.0, False)))
-        turns_rad = [wrap(eta.item(nearest, 3) - fleet[r].eta.item(3)) for r, eta in paths.items()]
+        distances_m = np.array([np.linalg.norm(eta[:, :3] - _rest_m(fleet[r]), axis=1) for r, eta in poses_ahead.items()])
+        farthest_m = distances_m.max(axis=0)  # of any robot from its trajectory, at each instant
+        still_falls = np.append(np.diff(farthest_m) < 0.0, False)
+        nearest = int(np.argmin(still_falls))  # the first instant at which it falls no more
+        turns_rad = [wrap(eta.item(nearest, 3) - fleet[r].eta.item(3)) for r, eta in poses_ahead.items()]
         starts_in_s = START_IN_S + max(turn_s(vehicle, turn_rad) for turn_rad in turns_rad)
         plans.progress_s = float(ahead_s[nearest])
         self._timetable = Timetable(now_ns + round(starts_in_s * 1e9), plans.progress_s + self.governor.lag_s)
-        now_m = [np.linalg.norm(eta[nearest, :3] - fleet[r].eta[:3]) for r, eta in paths.items()]
-        farthest_m = np.maximum(away_m[:, nearest], now_m)
-        return float(farthest_m.max()), list(paths)[int(farthest_m.argmax())]
+        now_m = [np.linalg.norm(eta[nearest, :3] - fleet[r].eta[:3]) for r, eta in poses_ahead.items()]
+        away_m = np.maximum(distances_m[:, nearest], now_m)
+        return float(away_m.max()), list(poses_ahead)[int(away_m.argmax())]
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring all moving robots to rest, then request the plan."""

@@ -236,8 +236,10 @@ class RequestTracker:
     ) -> tuple[Progress, str, list[int]]:
         """Progress of a request, its reason, and the robots that it waits for."""
         if request.task is not None:
-            task, waits = request.task, request.task.progress is not Progress.DONE
-            return task.progress, task.reason if waits else "", [request.only] if waits else []
+            task = request.task
+            if task.progress is Progress.DONE:
+                return Progress.DONE, "", []
+            return task.progress, task.reason, [request.only]
         if request.order in TUNING:
             return self._gain_progress(request, mission, fleet, tuning)
         return self._mission_progress(request, mission, fleet)
@@ -250,13 +252,15 @@ class RequestTracker:
             return mission.roster.active
         if request.at_rest:
             return ()
-        if GOALS[request.order].all_robots:
-            return tuple(r for r in self._robots if r not in mission.roster.out or may_have_power(fleet[r]))
         goal = GOALS[request.order]
-        lost = [r for r in mission.roster.lost if goal.moving and _moves_or_holds(fleet[r])]
-        return tuple(
-            r for r in self._robots if r in lost or r in mission.roster.active or (goal.begun and r in request.active)
-        )
+        if goal.all_robots:
+            return tuple(r for r in self._robots if r not in mission.roster.out or may_have_power(fleet[r]))
+        concerned = set(mission.roster.active)
+        if goal.moving:
+            concerned |= {r for r in mission.roster.lost if _moves_or_holds(fleet[r])}
+        if goal.begun:
+            concerned |= set(request.active)
+        return tuple(r for r in self._robots if r in concerned)
 
     def _mission_progress(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[Progress, str, list[int]]:
         """Progress of a request for the whole fleet, its reason, and the robots that it waits for."""

@@ -67,19 +67,23 @@ def required_slowdown(experiment: Experiment, motions: Mapping[int, NodeMotion])
 def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], count: int) -> list[PlanFigure]:
     """Clearances, speeds and forces of a plan in its first `count` samples; no distance where there is nothing to be near."""
     eta = [t.eta[:count, :3] for t in trajectories.values()]
-    apart = [np.linalg.norm(a - b, axis=1) for a, b in combinations(eta, 2)]
-    nearest, closest_m = min(apart, key=np.min, default=np.array([np.inf])), 2.0 * experiment.safety.radius_m
-    leaves = nearest[0] == nearest.min() < closest_m - TOLERANCE and nearest[-1] >= closest_m - TOLERANCE
-    when = ", as they lie now" if leaves else ""  # no plan can mend that
+    keep_m = 2.0 * experiment.safety.radius_m
+    apart_m = [np.linalg.norm(a - b, axis=1) for a, b in combinations(eta, 2)]
+    nearest_m = min(apart_m, key=np.min, default=np.array([np.inf]))  # of the pair that comes nearest, over time
+    least_m = float(nearest_m.min())
+    begins_too_near = nearest_m[0] == least_m < keep_m - TOLERANCE
+    moves_apart = nearest_m[-1] >= keep_m - TOLERANCE
+    when = ", as they lie now" if begins_too_near and moves_apart else ""  # no plan can mend that
     away_m = float(experiment.clearance_m(np.vstack(eta)).min())
     listed = [
-        PlanFigure(f"between centres{when}", "m", float(nearest.min()), closest_m, True),
+        PlanFigure(f"between centres{when}", "m", least_m, keep_m, True),
         PlanFigure("hulls to walls and islands", "m", away_m, 0.0, True),
     ]
     demands = [experiment.vehicle.demands(t.velocity[:count], t.acceleration[:count]) for t in trajectories.values()]
-    for of_robots in zip(*demands, strict=True):
-        what, unit, _, limit, _ = of_robots[0]
-        listed.append(PlanFigure(what, unit, max(float(values.max()) for *_, values in of_robots), limit))
+    for same_demand in zip(*demands, strict=True):  # one after the other, of all robots
+        what, unit, _, limit, _ = same_demand[0]
+        most = max(float(values.max()) for *_, values in same_demand)
+        listed.append(PlanFigure(what, unit, most, limit))
     return [figure for figure in listed if np.isfinite(figure.value)]
 
 

@@ -5,7 +5,7 @@ leaves as early as it stays clear of those planned before it, and of those not y
 robots works (two stand on one another's goals), one first makes room.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -128,15 +128,23 @@ def _places_to_make_room(
 ) -> Iterator[tuple[int, Array]]:
     """Robots that stand on another's goal, each with a place to make room at, near places first."""
     keep_m = 2.0 * experiment.safety.radius_m
-    blockers = [r for r in starts if any(s != r and np.linalg.norm(goals[s][:2] - starts[r][:2]) < keep_m for s in goals)]
+
+    def distances_m(place: Array, others: Iterable[Array]) -> list[float]:
+        return [float(np.linalg.norm(other[:2] - place[:2])) for other in others]
+
+    def blocks_another(robot: int) -> bool:
+        other_goals = [goal for other, goal in goals.items() if other != robot]
+        return any(distance_m < keep_m for distance_m in distances_m(starts[robot], other_goals))
+
+    blockers = [robot for robot in starts if blocks_another(robot)]
     for far_m in ASIDE_M:
         for robot in blockers:
+            others = [place[other] for other in starts if other != robot for place in (starts, goals)]
             for angle in 2.0 * np.pi / ASIDE_WAYS * np.arange(ASIDE_WAYS):
                 aside = starts[robot].copy()
                 aside[:2] += far_m * np.array([np.cos(angle), np.sin(angle)])
-                others = [p for r in starts for p in (starts[r], goals[r]) if r != robot]
-                clear = all(np.linalg.norm(aside[:2] - p[:2]) > keep_m for p in others)
-                if clear and is_free(aside[:2], around) and _in_sight(experiment, aside):
+                is_clear = all(distance_m > keep_m for distance_m in distances_m(aside, others))
+                if is_clear and is_free(aside[:2], around) and _in_sight(experiment, aside):
                     yield robot, aside
 
 

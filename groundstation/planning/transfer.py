@@ -20,7 +20,8 @@ RAMP_S = 3.0  # from rest to full speed: 0.15 m/s then takes 0.9 N of the availa
 TURN_S = 4.0  # for half a turn before leaving: 1.5 rad/s at most; longer for a vehicle that cannot turn so fast
 SLOWER_TURN, LONGEST_TURN_S = 1.1, 60.0  # factor tried until the vehicle can turn; NoRoute beyond the longest turn
 CLEAR_M = 0.05  # between hulls and islands or walls
-SLOWER = 0.7  # factor on the speed, tried until all bends can be flown
+LIMIT_SHARE = 0.8  # of the vehicle's fastest speed and heave: the rest is for its controller
+SLOWER, SLOWEST_MPS = 0.7, 0.02  # factor on the speed, tried until all bends can be flown; the last one is taken as it is
 NEAR_M = 1e-3  # a shorter distance is no transfer
 RIM_M = 0.008  # nearer to what it rests beside than at its ends leads a way around it. A nearer one is a contact (BESIDE_M)
 
@@ -76,31 +77,47 @@ def plan_transfer(
     period_s = experiment.controller.period_s
     if max(away_m, abs(rise_m)) < NEAR_M:
         return Transfer(start[None, :3].copy(), np.zeros((1, 3)), np.zeros((1, 3)))
-    path = None
-    if away_m >= NEAR_M:
-        keep_m = 2.0 * experiment.safety.radius_m
-        others = np.array([(*p[:2], keep_m) for p in parked]).reshape(-1, 3)
-        discs = _no_wider_than_free(np.vstack([around.discs, others]), start[:2], goal[:2])
-        half_m = tuple(max(h, abs(float(start[k])), abs(float(goal[k]))) for k, h in enumerate(around.half_m))
-        ends = [(start[0], start[1]), (goal[0], goal[1])]
-        points = find_route(ends, discs, (half_m[0], half_m[1]), out_of_time=out_of_time)
-        try:
-            path = SplinePath(Waypoints(kind="waypoints", points_m=tuple((x, y) for x, y in points.tolist()), speed_mps=1.0))
-        except ValueError:
-            raise NoRoute("the way there turns on the spot") from None
+    path = _flat_path(experiment, around, start, goal, parked, out_of_time) if away_m >= NEAR_M else None
     flat_m = path.length_m if path is not None else 0.0
+    length_m = max(flat_m, abs(rise_m))
     limits = experiment.vehicle.limits
-    speed = min(experiment.mission.return_mps, 0.8 * limits.speed_mps)
-    speed = min(speed, 0.8 * limits.heave_mps * max(flat_m, abs(rise_m)) / max(abs(rise_m), 1e-9))
+    speed = min(experiment.mission.return_mps, LIMIT_SHARE * limits.speed_mps)
+    speed = min(speed, LIMIT_SHARE * limits.heave_mps * length_m / max(abs(rise_m), 1e-9))
     while True:
-        distance_m, rate, bend = s_curve_profile(max(flat_m, abs(rise_m)), speed, period_s)
+        distance_m, rate, bend = s_curve_profile(length_m, speed, period_s)
         transfer = pad(_along(path, start, flat_m, rise_m, distance_m, rate, bend), turn_samples(experiment), 0)
-        if (
-            speed < 0.02
-            or float(np.max(required_slowdown(experiment, {0: add_heading(transfer, float(start[3]), experiment)}))) <= 1.0
-        ):
+        if speed < SLOWEST_MPS or _can_be_flown(experiment, transfer, float(start[3])):
             return transfer
         speed *= SLOWER
+
+
+def _flat_path(
+    experiment: Experiment,
+    around: FreeSpace,
+    start: Array,
+    goal: Array,
+    parked: Sequence[Array],
+    out_of_time: OutOfTime,
+) -> SplinePath:
+    """The shortest smooth path in the plane between two poses, around discs and `parked` robots. Raises NoRoute."""
+    keep_m = 2.0 * experiment.safety.radius_m
+    parked_discs = np.array([(x, y, keep_m) for x, y, *_ in parked]).reshape(-1, 3)
+    discs = _no_wider_than_free(np.vstack([around.discs, parked_discs]), start[:2], goal[:2])
+    ends = [(start[0], start[1]), (goal[0], goal[1])]
+    half_x_m, half_y_m = around.half_m  # of a basin that holds both ends
+    half_x_m = max(half_x_m, abs(float(start[0])), abs(float(goal[0])))
+    half_y_m = max(half_y_m, abs(float(start[1])), abs(float(goal[1])))
+    points = find_route(ends, discs, (half_x_m, half_y_m), out_of_time=out_of_time)
+    try:
+        return SplinePath(Waypoints(kind="waypoints", points_m=tuple((x, y) for x, y in points.tolist()), speed_mps=1.0))
+    except ValueError:
+        raise NoRoute("the way there turns on the spot") from None
+
+
+def _can_be_flown(experiment: Experiment, transfer: Transfer, start_rad: float) -> bool:
+    """True if a transfer from a heading keeps the vehicle's limits as fast as it is."""
+    slowdown = required_slowdown(experiment, {0: add_heading(transfer, start_rad, experiment)})
+    return float(np.max(slowdown)) <= 1.0
 
 
 def _no_wider_than_free(discs: Array, *ends: Array) -> Array:

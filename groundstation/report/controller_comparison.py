@@ -162,11 +162,12 @@ def demands(comparison: Comparison) -> PaperFigure:
 def _demands(comparison: Comparison, width_in: float) -> Figure:
     """Bars for each variant: the share of steps in which more was wanted than the limits allow, and the change per step."""
     figure, (left, right) = _rows_of(comparison, 2, width_in, TOP_IN)
+    beyond_limits = (("wanted_too_large", "too large", -0.2, COLOURS[1]), ("wanted_too_fast", "too fast", 0.2, COLOURS[4]))
     for i, variant in enumerate(comparison.variants):
-        for shift, key, tone in ((-0.2, "wanted_too_large", COLOURS[1]), (0.2, "wanted_too_fast", COLOURS[4])):
+        for key, name, shift, tone in beyond_limits:
             share = mean([100.0 * v for v in column(variant, key)])
-            name = {"wanted_too_large": "too large", "wanted_too_fast": "too fast"}[key] if i == 0 else ""
-            left.barh(i + shift, share.value, 0.36, color=tone, xerr=_bars(share), ecolor=GREY, label=name)
+            label = name if i == 0 else ""  # in the legend once
+            left.barh(i + shift, share.value, 0.36, color=tone, xerr=_bars(share), ecolor=GREY, label=label)
         wear = mean([100.0 * v for v in column(variant, "input_step_rms")])
         right.barh(i, wear.value, 0.6, color=colour(i), xerr=_bars(wear), ecolor=GREY)
     left.set_xlabel("wanted beyond limits [% of steps]")

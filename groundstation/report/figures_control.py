@@ -38,13 +38,12 @@ def _wrench(
     """Figure of a wrench by axis: `values` as full lines, `dotted` below them, `bounds` as limits."""
 
     def lines(axis: int) -> list[Curve]:
-        each = list(enumerate(series.robots.items()))
-        under = [(dotted, ", wanted", ":")] if dotted is not None else []
-        return [
-            flown(series, r, f"robot {n}{suffix}", of(r)[:, axis], i, style)
-            for of, suffix, style in [*under, (values, "", "-")]
-            for i, (n, r) in each
-        ]
+        robots = list(enumerate(series.robots.items()))
+        full = [flown(series, r, f"robot {robot}", values(r)[:, axis], i) for i, (robot, r) in robots]
+        if dotted is None:
+            return full
+        below = [flown(series, r, f"robot {robot}, wanted", dotted(r)[:, axis], i, ":") for i, (robot, r) in robots]
+        return [*below, *full]
 
     panels = [
         Panel(

@@ -18,6 +18,11 @@ TONES = {
 ALONG_PATH = {Guidance.JOINING: "#8FD6BF", Guidance.GIVING_WAY: "#F0E442", Guidance.RETURNING: "#C3DB5E"}  # while TRACKING
 
 
+def _bars(time_s: Array, holds: Array, tone: str, name: str) -> list[Bar]:
+    """A bar for each span of time in which something holds."""
+    return [Bar(from_s, length_s, tone, name) for from_s, length_s in spans_of(time_s, np.asarray(holds))]
+
+
 def timeline(series: Series) -> BarPlot | None:
     """Each robot's mode and guidance state over time, and faults as they were noticed and, in simulation, made."""
     robot_states = [(robot, r.states) for robot, r in series.robots.items() if len(r.states.time_s)][:MOST_ROWS]
@@ -27,27 +32,23 @@ def timeline(series: Series) -> BarPlot | None:
     end_s = max(float(states.time_s[-1]) for _, states in robot_states)
     rows = []
     for robot, states in robot_states:
-        bars = [
-            Bar(from_s, length_s, tone, mode.name.lower())
-            for mode, tone in TONES.items()
-            for from_s, length_s in spans_of(states.time_s, np.asarray(states.mode == mode))
-        ]
-        bars += [
-            Bar(from_s, length_s, tone, guidance.name.lower().replace("_", " "))
-            for guidance, tone in ALONG_PATH.items()
-            for from_s, length_s in spans_of(
-                states.time_s, np.asarray((states.mode == Mode.TRACKING) & (states.of(lambda s: s.guidance) == guidance))
-            )
-        ]
+        is_tracking = states.mode == Mode.TRACKING
+        guidance_states = states.of(lambda s: s.guidance)
+        bars: list[Bar] = []
+        for mode, tone in TONES.items():
+            bars += _bars(states.time_s, states.mode == mode, tone, mode.name.lower())
+        for guidance, tone in ALONG_PATH.items():
+            name = guidance.name.lower().replace("_", " ")
+            bars += _bars(states.time_s, is_tracking & (guidance_states == guidance), tone, name)
         rows.append((f"robot {robot}", bars))
-    within = [h for h in series.timeline_events if begin_s <= h.time_s <= end_s]
-    noticed = [h.time_s for h in within if h.fault]
-    injections_s = [h.time_s for h in within if is_injection(h)]
-    marks = [
-        (sign, meaning, times)
-        for sign, meaning, times in (("v", "noticed", noticed), ("x", "injected, or over", injections_s))
-        if times
-    ]
+    events = [event for event in series.timeline_events if begin_s <= event.time_s <= end_s]
+    faults_s = [event.time_s for event in events if event.fault]
+    injections_s = [event.time_s for event in events if is_injection(event)]
+    marks = []
+    if faults_s:
+        marks.append(("v", "noticed", faults_s))
+    if injections_s:
+        marks.append(("x", "injected, or over", injections_s))
     return BarPlot(rows, begin_s, end_s + 1e-3, marks)
 
 

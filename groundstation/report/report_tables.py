@@ -80,18 +80,25 @@ def _errors() -> Iterator[_Part]:
 
 def _article() -> Iterator[_Part]:
     """Columns that hold the errors against the article's, and against those of a robot that never moves."""
-    yield _Part(Group("RMS, whole run", XYZ), lambda r: _lengths(r.rms_m, r.article.rms_m if r.article else None))
-    yield _Part(Group("the article's", XYZ), lambda r: _lengths(r.article.rms_m if r.article else None))
+    xy = XYZ[:2]
+    articles_rms_m = _figure_of("article", "rms_m")
+    articles_yaw_rad = _figure_of("article", "rms_yaw_rad")
+    articles_max_m = _figure_of("article", "max_m")
+    still_rms_m = _figure_of("baseline", "rms_m")
+    yield _Part(Group("RMS, whole run", XYZ), lambda r: _lengths(r.rms_m, articles_rms_m(r)))
+    yield _Part(Group("the article's", XYZ), lambda r: _lengths(articles_rms_m(r)))
     yield _Part(
         Group("yaw [deg]", ("here", "article")),
-        lambda r: [
-            _against(r.rms_yaw_rad, r.article.rms_yaw_rad if r.article else None, deg),
-            Cell(deg(r.article.rms_yaw_rad if r.article else None)),
-        ],
+        lambda r: [_against(r.rms_yaw_rad, articles_yaw_rad(r), deg), Cell(deg(articles_yaw_rad(r)))],
     )
-    yield _Part(Group("largest", XYZ[:2]), lambda r: _lengths(r.max_m, r.article.max_m if r.article else None)[:2])
-    yield _Part(Group("the article's", XYZ[:2]), lambda r: _lengths(r.article.max_m if r.article else None)[:2])
-    yield _Part(Group("never moving, RMS", XYZ[:2]), lambda r: _lengths(r.baseline.rms_m if r.baseline else None)[:2])
+    yield _Part(Group("largest", xy), lambda r: _lengths(r.max_m, articles_max_m(r))[:2])
+    yield _Part(Group("the article's", xy), lambda r: _lengths(articles_max_m(r))[:2])
+    yield _Part(Group("never moving, RMS", xy), lambda r: _lengths(still_rms_m(r))[:2])
+
+
+def _figure_of(part: str, name: str) -> Callable[[Row], Any]:
+    """A function from a row to a figure of its article or baseline; None for a row without."""
+    return lambda row: getattr(getattr(row, part), name, None)
 
 
 def _robots() -> Iterator[_Part]:

@@ -54,24 +54,25 @@ def announced(endpoint: Endpoint, fleet: str, experiment: str, bus: Bus) -> Iter
 
 
 def _stand(places: ExitStack, path: Path, standing: RunningStation, bus: Bus) -> bool:
-    """Open the door and lay the file in one folder, until `places` ends. Returns whether there is a door."""
-    file_path, door_path = path.with_suffix(".json"), path.with_suffix(".sock")
-    new, door = path.with_suffix(".new"), False
+    """Open a socket for requests (own_door.py), and write the file by which terminals find the station, in one folder. Both
+    are removed when `places` ends. Returns True if there is a socket."""
+    door_path, file_path, new_path = (path.with_suffix(suffix) for suffix in (".sock", ".json", ".new"))
+    has_door = False
     try:
         if fits(door_path):
             places.callback(OwnDoor(door_path, bus.answer).close)
-            door = True
-        file = places.enter_context(new.open("w", encoding="utf-8"))
+            has_door = True
+        file = places.enter_context(new_path.open("w", encoding="utf-8"))
         places.callback(file_path.unlink, missing_ok=True)
-        places.callback(new.unlink, missing_ok=True)
+        places.callback(new_path.unlink, missing_ok=True)
         fcntl.flock(file, fcntl.LOCK_EX)
         json.dump({key: value for key, value in asdict(standing).items() if key != "doors"}, file)
         file.flush()
-        new.replace(file_path)  # only now it is looked at: locked, and whole
+        new_path.replace(file_path)  # terminals read it from here on: it is locked, and whole
     except OSError as error:  # a full disk: the other folders may be elsewhere
         log.warning("terminals do not find this station in %s: %s", path.parent, error.strerror or error)
         return False
-    return door
+    return has_door
 
 
 def running() -> list[RunningStation]:

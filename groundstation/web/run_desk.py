@@ -8,7 +8,7 @@ import dataclasses
 import hmac
 import json
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -157,11 +157,16 @@ def _figures(result: dict[str, Any], checks: list[Check]) -> dict[str, Any]:
     if whole and any(row["article"] for row in rows.values()):
         columns[ARTICLE] = lambda row: row["article"] and row["article"]["rms_m"]
     columns[SETTLED] = lambda row: row["rms_after_20s_m"]
-    columns_shown = {head: values for head, values in columns.items() if any(values(row) for row in rows.values())}
+    columns_shown = {head: lengths_of for head, lengths_of in columns.items() if any(map(lengths_of, rows.values()))}
+
+    def cell(lengths_m: Sequence[float] | None) -> list[str]:
+        x_m, y_m, *_ = lengths_m or (None, None)
+        return [mm(x_m), mm(y_m)]
+
     return {
         "heads": list(columns_shown),
         "rows": [
-            {"name": name, "cells": [[mm(v) for v in (values(row) or (None, None))[:2]] for values in columns_shown.values()]}
+            {"name": name, "cells": [cell(lengths_of(row)) for lengths_of in columns_shown.values()]}
             for name, row in rows.items()
         ],
     }

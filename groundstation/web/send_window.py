@@ -15,13 +15,14 @@ class SendWindow:
     """One watcher's side of the stream. Frames are bodies without a number; `next` numbers them."""
 
     def __init__(self) -> None:
+        """Begin with nothing queued and nothing on its way."""
         self.round_trip_s = 0.0  # of the last frame acknowledged: network and drawing together
         self._answers: deque[bytes] = deque(maxlen=MOST_NOTES)
         self._notes: deque[bytes] = deque(maxlen=MOST_NOTES)
         self._latest: dict[str, bytes] = {}  # by kind, the one that waited longest first
-        self._sent_s: dict[int, float] = {}
-        self._n = 0
-        self._noted = False  # the frame before was a note
+        self._sent_s: dict[int, float] = {}  # instants of the frames that are not acknowledged, by number
+        self._last_number = 0
+        self._last_was_queued = False  # the frame before was an answer or a note, no state
         self._ends = False
 
     def answer(self, body: bytes) -> None:
@@ -46,11 +47,16 @@ class SendWindow:
         queue = self._answers or self._notes
         if full or not (queue or self._latest):
             return None
-        self._noted = bool(queue) and not (self._noted and self._latest)
-        body = queue.popleft() if self._noted else self._latest.pop(next(iter(self._latest)))
-        self._n += 1
-        self._sent_s[self._n] = now_s
-        return self._n, body
+        is_turn_of_latest = self._last_was_queued and bool(self._latest)
+        self._last_was_queued = bool(queue) and not is_turn_of_latest
+        if self._last_was_queued:
+            body = queue.popleft()
+        else:
+            longest_waiting = next(iter(self._latest))
+            body = self._latest.pop(longest_waiting)
+        self._last_number += 1
+        self._sent_s[self._last_number] = now_s
+        return self._last_number, body
 
     def end(self) -> None:
         """Wait for no acknowledgement from now on: the connection is about to be closed."""

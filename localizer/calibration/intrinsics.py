@@ -11,6 +11,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from localizer.calibration.targets import TargetView
 from localizer.camera_model import LARGEST_FOLD_PX, Intrinsics, fold_px
@@ -129,19 +130,22 @@ def _solve(views: Sequence[TargetView], size_px: tuple[int, int], flags: int) ->
         )
     except cv2.error as error:
         raise ConfigError(f"no lens explains the {len(views)} views of the board: {error.err}") from None
-    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:5]])
-    if not np.all(np.isfinite(values)) or min(values[:2]) <= 0:
-        raise ConfigError(f"no lens explains the {len(views)} views of the board: tilt it by 20 to 40 degrees, each way")
     distortion = np.asarray(distortion).ravel()[:5]
-    poses = zip(views, turns, moves, strict=True)
-    predicted = [cv2.projectPoints(view.board_m, turn, move, matrix, distortion) for view, turn, move in poses]
-    residuals = tuple(view.pixels - places.reshape(-1, 2) for view, (places, _) in zip(views, predicted, strict=True))
-    fx, fy, cx, cy, *ks = (float(value) for value in values)
-    lens = Intrinsics(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(ks[0], ks[1], ks[2], ks[3], ks[4]))
-    deviations = _deviations([np.asarray(jacobian) for _, jacobian in predicted], residuals, flags == cv2.CALIB_FIX_K3)
-    tilts = [float(np.arccos(abs(np.asarray(cv2.Rodrigues(turn)[0])[2, 2]))) for turn in turns]
+    (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+    k1, k2, p1, p2, k3 = distortion.tolist()
+    if not np.all(np.isfinite([fx, fy, cx, cy, k1, k2, p1, p2, k3])) or min(fx, fy) <= 0:
+        raise ConfigError(f"no lens explains the {len(views)} views of the board: tilt it by 20 to 40 degrees, each way")
+    lens = Intrinsics(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(k1, k2, p1, p2, k3))
+    residuals, jacobians, tilts_rad = list[Array](), list[Array](), list[float]()
+    for view, turn, move in zip(views, turns, moves, strict=True):
+        places, jacobian = cv2.projectPoints(view.board_m, turn, move, matrix, distortion)
+        residuals.append(view.pixels - places.reshape(-1, 2))
+        jacobians.append(np.asarray(jacobian))
+        rotation = np.asarray(cv2.Rodrigues(turn)[0])
+        tilts_rad.append(float(np.arccos(abs(rotation[2, 2]))))  # of the board's normal against the line of sight
+    deviations = _deviations(jacobians, residuals, flags == cv2.CALIB_FIX_K3)
     view_rms = np.asarray(errors, dtype=np.float64).ravel()
-    return IntrinsicsFit(lens, deviations, float(rms), tuple(views), view_rms, residuals, np.array(tilts))
+    return IntrinsicsFit(lens, deviations, float(rms), tuple(views), view_rms, tuple(residuals), np.array(tilts_rad))
 
 
 def _deviations(jacobians: Sequence[Array], residuals: Sequence[Array], without_k3: bool) -> Array:
@@ -151,23 +155,34 @@ def _deviations(jacobians: Sequence[Array], residuals: Sequence[Array], without_
     direction out, as if it were known.
     """
     lens_columns = _POSE + np.arange(_INTRINSICS - without_k3)
+    unknowns = _POSE * len(jacobians) + len(lens_columns)
+    numbers = sum(residual.size for residual in residuals)
+    squares = sum(float(np.sum(residual**2)) for residual in residuals)
+    pixel_variance = squares / max(numbers - unknowns, 1)
+    information = _lens_information(jacobians, lens_columns)
+    scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))  # focal lengths count in 1000 px, k3 in 0.01
+    deviations = np.sqrt(pixel_variance * _inverse_diagonal(information / np.outer(scale, scale))) / scale
+    return np.append(deviations, 0.0) if without_k3 else deviations
+
+
+def _lens_information(jacobians: Sequence[Array], lens_columns: NDArray[np.intp]) -> Array:
+    """Information on the lens's parameters (k, k) when each view's pose is unknown too: a sum of Schur complements."""
     information = np.zeros((len(lens_columns), len(lens_columns)))
     for jacobian in jacobians:
         by_lens, by_pose = jacobian[:, lens_columns], jacobian[:, :_POSE]
-        # What is left of the lens's information when the view's pose is unknown too (a Schur complement).
         mixed = by_lens.T @ by_pose
         information += by_lens.T @ by_lens - mixed @ np.linalg.pinv(by_pose.T @ by_pose) @ mixed.T
-    count = sum(residual.size for residual in residuals)
-    variance = sum(float(np.sum(residual**2)) for residual in residuals) / max(
-        count - _POSE * len(jacobians) - len(lens_columns), 1
-    )
-    scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    eigenvalues, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    inverses = np.where(eigenvalues > _SINGULAR * eigenvalues[-1], 1.0 / np.maximum(eigenvalues, 1e-300), np.inf)
-    with np.errstate(invalid="ignore"):
+    return information
+
+
+def _inverse_diagonal(matrix: Array) -> Array:
+    """Diagonal of a symmetric matrix's inverse; infinite for a row that takes part in a direction with eigenvalue zero."""
+    eigenvalues, vectors = np.linalg.eigh(matrix)
+    is_singular = eigenvalues <= _SINGULAR * eigenvalues[-1]
+    inverses = np.where(is_singular, np.inf, 1.0 / np.maximum(eigenvalues, np.finfo(float).tiny))
+    with np.errstate(invalid="ignore"):  # where a share is zero, zero times infinity is not used
         shares = np.where(vectors**2 > _NO_SHARE, vectors**2 * inverses, 0.0)
-    deviations = np.sqrt(variance * shares.sum(axis=1)) / scale
-    return np.append(deviations, 0.0) if without_k3 else deviations
+    return np.asarray(shares.sum(axis=1))
 
 
 def _held_out_rms_px(fit: IntrinsicsFit) -> float | None:

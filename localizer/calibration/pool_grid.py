@@ -43,20 +43,26 @@ def view_figures(camera: Camera, pool: PoolConfig, depth_m: float) -> ViewFigure
     view = RefractiveCamera(camera)
     width, height = camera.size_px
     left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
-    middle = np.array([(left + right) / 2, (top + bottom) / 2])
-    ends = np.array([[left, middle[1]], [right, middle[1]], [middle[0], top], [middle[0], bottom]])
-    reach = view.pixel_to_pool(ends, depth_m)
-    corners = np.array([[0.0, 0.0], [width - 1.0, 0.0], [width - 1.0, height - 1.0], [0.0, height - 1.0]])
-    jacobian = view.jacobian(np.vstack([middle, corners]), depth_m)
-    scale = 1e3 * np.linalg.norm(jacobian[:, :, :2], axis=(1, 2), ord=2)
-    lean = 10.0 * np.linalg.norm(jacobian[:, :, 2], axis=1)  # mm per cm
-    x, y = (np.linspace(-size / 2, size / 2, _SAMPLES) for size in pool.size_m[:2])
+    middle_x, middle_y = (left + right) / 2, (top + bottom) / 2
+
+    edge_middles = np.array([[left, middle_y], [right, middle_y], [middle_x, top], [middle_x, bottom]])
+    at_left_m, at_right_m, at_top_m, at_bottom_m = view.pixel_to_pool(edge_middles, depth_m)
+
+    last_x, last_y = width - 1.0, height - 1.0
+    middle_and_corners = np.array([[middle_x, middle_y], [0.0, 0.0], [last_x, 0.0], [last_x, last_y], [0.0, last_y]])
+    jacobians = view.jacobian(middle_and_corners, depth_m)  # of the place in the pool, by pixel (2) and depth
+    mm_per_px = 1e3 * np.linalg.norm(jacobians[:, :, :2], axis=(1, 2), ord=2)
+    mm_per_cm_depth = 10.0 * np.linalg.norm(jacobians[:, :, 2], axis=1)
+
+    length_m, width_m, _ = pool.size_m
+    x = np.linspace(-length_m / 2, length_m / 2, _SAMPLES)
+    y = np.linspace(-width_m / 2, width_m / 2, _SAMPLES)
     plane = np.stack([*np.meshgrid(x, y), np.full((_SAMPLES, _SAMPLES), depth_m)], axis=-1).reshape(-1, 3)
     return ViewFigures(
-        field_m=(float(np.linalg.norm(reach[1] - reach[0])), float(np.linalg.norm(reach[3] - reach[2]))),
+        field_m=(float(np.linalg.norm(at_right_m - at_left_m)), float(np.linalg.norm(at_bottom_m - at_top_m))),
         seen_share=float(np.mean(_in_picture(camera, _true_pixels(view, plane)))),
-        mm_per_px=(float(scale[0]), float(scale[1:].max())),
-        mm_per_cm_depth=(float(lean[0]), float(lean[1:].max())),
+        mm_per_px=(float(mm_per_px[0]), float(mm_per_px[1:].max())),
+        mm_per_cm_depth=(float(mm_per_cm_depth[0]), float(mm_per_cm_depth[1:].max())),
     )
 
 

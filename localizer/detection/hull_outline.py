@@ -31,6 +31,7 @@ _INSIDE_PX = 0.75  # px from the circle, of an edge that belongs to it
 _LEAST_SHARE = 0.7  # of rays with such an edge; chance gives 0.3
 _MOST_OTHER = 0.04  # of the radius
 _GROWN = 1.02  # a little larger outline, from which directions across it are had
+_HIGHER_M = 0.01  # between two points of a line of sight
 _ROUNDS = 5  # of robust least squares; weights settle in three
 
 
@@ -81,12 +82,13 @@ def find_hull(
 def _across(view: RefractiveCamera, centre: Array) -> Array:
     """Two directions (2, 3) across the line of sight in the water at a point (3,), the first one without y."""
     pixel = view.pool_to_pixel(centre[None])
-    here = view.pixel_to_pool(pixel, centre[2])[0]
-    above = view.pixel_to_pool(pixel, centre[2] - 0.01)[0]  # on the same line of sight, 0.01 m higher
-    sight = np.array([*(here - above), 0.01])
+    (here,) = view.pixel_to_pool(pixel, centre[2])
+    (above,) = view.pixel_to_pool(pixel, centre[2] - _HIGHER_M)  # on the same line of sight
+    sight = np.array([*(here - above), _HIGHER_M])
     sight /= np.linalg.norm(sight)
-    first = np.array([sight[2], 0.0, -sight[0]]) / np.hypot(sight[0], sight[2])
-    return np.array([first, _cross(sight, first)])
+    sight_x, _, sight_z = sight
+    without_y = np.array([sight_z, 0.0, -sight_x]) / np.hypot(sight_x, sight_z)
+    return np.array([without_y, _cross(sight, without_y)])
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -199,7 +199,8 @@ def _nees(error: Array, covariance: Array) -> float:
 def _pose_row(subject: str, group: Sequence[_PoseError]) -> PoseRow:
     """Row of the pose table: errors in mm and degrees, and NEES with its 95 % band."""
     errors = np.array([e.error for e in group])
-    distance_mm, turn_deg = 1e3 * np.linalg.norm(errors[:, :2], axis=1), np.degrees(np.abs(errors[:, 2]))
+    distance_mm = 1e3 * np.linalg.norm(errors[:, :2], axis=1)
+    turn_deg = np.degrees(np.abs(errors[:, 2]))
     nees_values = np.array([e.nees for e in group])
     usable = nees_values[np.isfinite(nees_values)]
     count = max(len(usable), 1)

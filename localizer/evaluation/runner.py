@@ -52,13 +52,13 @@ Rows = Sequence[PixelRow] | Sequence[PoseRow]
 def table(rows: Sequence[Any]) -> str:
     """Rows as text: one line each, a column per field."""
     fields = [field.name for field in dataclasses.fields(rows[0])]
-    cells = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
-    widths = [max(len(line[i]) for line in cells) for i in range(len(fields))]
-    first, *others = widths
-    return "\n".join(
-        "  ".join([line[0].ljust(first), *(cell.rjust(width) for cell, width in zip(line[1:], others, strict=True))])
-        for line in cells
-    )
+    lines = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
+    columns: list[list[str]] = []
+    for column in zip(*lines, strict=True):
+        width = max(len(cell) for cell in column)
+        is_first = not columns
+        columns.append([cell.ljust(width) if is_first else cell.rjust(width) for cell in column])
+    return "\n".join("  ".join(line) for line in zip(*columns, strict=True))
 
 
 def to_json(rows: Sequence[Any]) -> str:
@@ -157,12 +157,13 @@ def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
 # --- a run's log
 
 
-def evaluate_log(path: Path) -> list[PoseRow]:
+def evaluate_log(path: Path) -> tuple[list[PoseRow], str]:
     """Poses of a recorded run against the plant's truth in it; with several cameras the fused ones, and then rows about the
-    cameras. A log that was cut off counts as far as it goes. Each sender stamps by its own clock; what belongs together does
-    by the recorder's."""
+    cameras. A log that was cut off counts as far as it goes; the sentence behind the rows says so. Each sender stamps by its
+    own clock; what belongs together does by the recorder's."""
+    damage = list[str]()
     published, truths, clocks = list[tuple[RecordedMessage, Pose]](), list[tuple[RecordedMessage, Truth]](), SessionClocks()
-    for record in _records(path):
+    for record in _records(path, damage):
         one = record._replace(data=b"")  # what is kept is decoded
         try:
             if one.topic.endswith(topics.TRUTH.name):
@@ -189,7 +190,7 @@ def evaluate_log(path: Path) -> list[PoseRow]:
     rows = pose_rows([pose for pose in poses if not pose.camera], paths) + camera_rows(poses, paths)
     if not rows:
         raise ConfigError(f"{path}: no poses with a truth to compare with ({len(poses)} poses, truth of {len(true)} robots)")
-    return rows
+    return rows, "".join(damage)
 
 
 def _published(one: RecordedMessage, pose: Pose, at_ns: int) -> PublishedPose:
@@ -198,15 +199,15 @@ def _published(one: RecordedMessage, pose: Pose, at_ns: int) -> PublishedPose:
     return PublishedPose(int(parts[-2]), at_ns, pose, camera)
 
 
-def _records(path: Path) -> Iterator[RecordedMessage]:
-    """The poses and truths of a log, and the localizers' status, up to a cut or damaged record."""
+def _records(path: Path, damage: list[str]) -> Iterator[RecordedMessage]:
+    """The poses and truths of a log, and the localizers' status, up to a cut or damaged record, which `damage` takes."""
     try:
         with open_regular(path) as file:
             yield from (one for one in log_records.recorded_messages(file) if one.topic.endswith(_READ))
     except ImportError:
         raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None
-    except log_records.Damaged:  # the recorder was killed: what lies before is good
-        return
+    except log_records.Damaged as error:  # the recorder was killed: what lies before is good
+        damage.append(f"{path}: was cut, and what lies behind is not evaluated: {error}")
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
 
@@ -229,7 +230,8 @@ class _Target:
         """Follow the target into the next picture. Farther off than half the box is a failure: the tracker starts anew at
         the truth. So it does, but not as a failure, where the truth itself leaps as far, or comes back from a gap there."""
         place = self._places_px[frame]
-        is_known, reach_px = bool(np.all(np.isfinite(place))), self._box_px / 2.0
+        is_known = bool(np.all(np.isfinite(place)))
+        reach_px = self._box_px / 2.0
         if self._follower is None:
             self._follower = SingleObjectTracker(picture, place, self._box_px) if is_known else None
             return
@@ -239,11 +241,12 @@ class _Target:
         if not is_known:
             return
         error_px = float(np.linalg.norm(pose[:2] - place))
-        followed = bool(np.linalg.norm(place - self._places_px[frame - 1]) <= reach_px)  # False if that was not known
-        if error_px <= reach_px or followed:
+        has_lost_it = error_px > reach_px
+        truth_is_steady = bool(np.linalg.norm(place - self._places_px[frame - 1]) <= reach_px)  # False if that was not known
+        if truth_is_steady or not has_lost_it:
             self._errors_px.append(error_px)
-            self._failures += error_px > reach_px
-        if error_px > reach_px:
+            self._failures += has_lost_it
+        if has_lost_it:
             self._follower = SingleObjectTracker(picture, place, self._box_px)
 
     def row(self, truth: Path) -> PixelRow:

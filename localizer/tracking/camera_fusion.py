@@ -146,8 +146,11 @@ class CameraFusion:
     ) -> list[str]:
         """Judge the cameras by the robots that two of them measure, and by their check marks: which were moved, and which are
         in doubt. Returns what to tell the operator."""
-        doubts, agreed, backed = list[str](), set[str](), set[str]()
-        doubted, was_out = dict[str, Array](), set(self._bumps.out)
+        was_out = set(self._bumps.out)
+        doubts = list[str]()  # in words
+        doubted = dict[str, Array]()  # covariance of each camera that is in doubt
+        agreed = set[str]()  # cameras with which another one agrees,
+        backed = set[str]()  # or one that was not out
         alone_apart = dict[str, tuple[float, str]]()  # of a camera that is alone at fault, the worst
         stayed, leapt = set[str](), set[str]()  # cameras by what they measure of the robots whose motion they have followed
         for robot, robot_candidates in candidates.items():
@@ -156,22 +159,28 @@ class CameraFusion:
             stayed |= followed & within
             leapt |= followed - within
             for one, other in combinations(measured, 2):
+                pair = {one.camera, other.camera}
                 apart = _difference(one.mean, other.mean)
-                squared = _squared(apart, covariance := one.covariance + other.covariance)
+                covariance = one.covariance + other.covariance
+                squared = _squared(apart, covariance)
                 if squared <= GATE:
-                    agreed |= {one.camera, other.camera}
-                    backed |= {a.camera for a, b in ((one, other), (other, one)) if b.camera not in was_out}
+                    agreed |= pair
+                    if other.camera not in was_out:
+                        backed.add(one.camera)
+                    if one.camera not in was_out:
+                        backed.add(other.camera)
                     continue
                 words = _in_words(apart, covariance)
-                pair = {one.camera, other.camera}
+                # The fault is one camera's alone if it was out before, or if the other one still fits the robot's motion
                 suspects = (pair & was_out or pair & followed - within) - self._bumps.proven
                 if len(suspects) == 1 and (suspects <= was_out or pair & within):
-                    alone_apart |= {name: max((squared, words), alone_apart.get(name, (0.0, ""))) for name in suspects}
+                    (suspect,) = suspects
+                    alone_apart[suspect] = max((squared, words), alone_apart.get(suspect, (0.0, "")))
                     continue
                 doubts.append(f"cameras {one.camera} and {other.camera} disagree by {words} about robot {robot}")
+                away_m2 = float(apart[:2] @ apart[:2])
+                grown = np.diag([away_m2, away_m2, apart[2] ** 2])
                 for name in pair:
-                    away_m2 = float(apart[:2] @ apart[:2])
-                    grown = np.diag([away_m2, away_m2, apart[2] ** 2])
                     doubted[name] = np.maximum(doubted.get(name, grown), grown)
         moved = {name: view.status.message for name, view in views.items() if view.status.moved}
         evidence = Evidence(
@@ -265,15 +274,18 @@ def covariance_intersection(parts: Sequence[tuple[Array, Array]]) -> tuple[Array
     """Mean (3,) and covariance (3, 3) of [x, y, yaw] from those of several estimates whose errors may be correlated."""
     if len(parts) == 1:
         return parts[0]
-    first = parts[0][0]
-    weights = np.array([1.0 / np.trace(covariance[:2, :2]) for _, covariance in parts])
-    information = [w * np.linalg.inv(covariance) for w, (_, covariance) in zip(weights / weights.sum(), parts, strict=True)]
+    means = [mean for mean, _ in parts]
+    covariances = [covariance for _, covariance in parts]
+    precisions = np.array([1.0 / np.trace(covariance[:2, :2]) for covariance in covariances])  # of the place alone
+    weights = precisions / precisions.sum()
+    information = [weight * np.linalg.inv(covariance) for weight, covariance in zip(weights, covariances, strict=True)]
     covariance = np.linalg.inv(np.sum(information, axis=0))
-    pull = np.sum([part @ _difference(mean, first) for part, (mean, _) in zip(information, parts, strict=True)], axis=0)
+    first = means[0]  # the others count as differences from it, for angles cannot be averaged
+    pull = np.sum([info @ _difference(mean, first) for info, mean in zip(information, means, strict=True)], axis=0)
     mean = first + covariance @ pull
     mean[2] = wrap(float(mean[2]))
-    apart = np.array([_difference(part, mean) for part, _ in parts])
-    scatter = (weights / weights.sum() * apart.T) @ apart
+    differences = np.array([_difference(each, mean) for each in means])
+    scatter = (weights * differences.T) @ differences
     return mean, 0.5 * (covariance + covariance.T) + scatter
 
 

@@ -252,20 +252,23 @@ class FleetLocalizer:
 
     def _read(self, regions: Sequence[ImageRegion], plates_m: Array, tilts_rad: Array) -> dict[int, MarkerPose]:
         """Markers by robot in regions of the picture, those left out that lie where no robot can be."""
-        readings, markers = dict[int, MarkerPose](), self._reader.read(self.view, regions, plates_m, tilts_rad)
+        markers = self._reader.read(self.view, regions, plates_m, tilts_rad)
         for i, size in self._reader.strange_sizes.items():
             if i not in markers and self._is_lost(i):
                 self._sizes.note_strange(i, size, self._frames)
-        for i, robot_readings in markers.items():
-            inside = [r for r in robot_readings if self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
+        chosen: dict[int, MarkerPose] = {}
+        for i, readings in markers.items():
+            inside = [r for r in readings if self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
             if not inside:
                 self._outside_frames[i] = self._frames
                 continue
-            poses, near = [r.pose for r in inside], self._near_track(i, inside)
+            poses = [reading.pose for reading in inside]
             self._twins.note(i, poses, self._frames)
-            if near or not (self._twins.are_apart(poses) or self._twins.is_twin(i, self._frames)):
-                readings[i] = min(near or inside, key=lambda reading: reading.misfit)
-        return readings
+            has_twin = self._twins.are_apart(poses) or self._twins.is_twin(i, self._frames)
+            near = self._near_track(i, inside)
+            if near or not has_twin:  # of two plates with one number only that on the track is the robot's
+                chosen[i] = min(near or inside, key=lambda reading: reading.misfit)
+        return chosen
 
     def _near_track(self, robot: int, readings: Sequence[MarkerPose]) -> list[MarkerPose]:
         """Those of a robot's readings that are where it is followed to."""
@@ -325,7 +328,9 @@ class FleetLocalizer:
         robot = self._frames // _CHECK_EVERY % len(self._ids)
         view, attitude = located.views.get(robot), self._attitudes[robot]
         measured = self._tracks[robot].measured
-        if self._lean_reader is None or view is None or measured is None or robot not in located.reported or attitude is None:
+        if self._lean_reader is None or attitude is None:
+            return
+        if view is None or measured is None or robot not in located.reported:
             return
         plate = self._tracks[robot].at_row(measured.pose, self._late_s(view))
         slope_rad = self._settings.surface_slope_rad
@@ -421,20 +426,22 @@ class FleetLocalizer:
     def _update_appearance(self, views: Mapping[int, PredictedView]) -> None:
         """Report the correlation peak of the robots whose turn it is, so that its fall is visible before a match is needed;
         update the appearance where the pose is certain, with no other robot in the patch."""
-        turn = [
-            s for i, s in views.items() if (self._frames + i) % _LEARN_EVERY == 0 or not self._appearance.is_initialised(i)
-        ]
         apart_m = self._appearance.reach_m + self.radius_m
-        poses = [self._best_pose(view.robot) for view in turn]
-        certain = [
-            self._is_certain(v.robot) and self._clearance_m(v.robot, p) > apart_m for v, p in zip(turn, poses, strict=True)
-        ]
-        due = [k for k, view in enumerate(turn) if certain[k] or self._tracks[view.robot].state is Track.MARKER]
-        rates = _LEARNING_RATE * np.array([certain[k] for k in due], dtype=np.float64)
-        peaks = self._appearance.update([turn[k] for k in due], [poses[k] for k in due], rates)
-        for robot, peak in zip((turn[k].robot for k in due), peaks, strict=True):
-            if self._tracks[robot].state is Track.MARKER:
-                self._tracks[robot] = self._tracks[robot].with_peak(peak)
+        due_views, poses, rates = list[PredictedView](), list[Array](), list[float]()
+        for i, view in views.items():
+            is_its_turn = (self._frames + i) % _LEARN_EVERY == 0 or not self._appearance.is_initialised(i)
+            if not is_its_turn:
+                continue
+            pose = self._best_pose(view.robot)
+            is_certain = self._is_certain(view.robot) and self._clearance_m(view.robot, pose) > apart_m
+            if is_certain or self._tracks[view.robot].state is Track.MARKER:
+                due_views.append(view)
+                poses.append(pose)
+                rates.append(_LEARNING_RATE if is_certain else 0.0)
+        peaks = self._appearance.update(due_views, poses, np.array(rates, dtype=np.float64))
+        for view, peak in zip(due_views, peaks, strict=True):
+            if self._tracks[view.robot].state is Track.MARKER:
+                self._tracks[view.robot] = self._tracks[view.robot].with_peak(peak)
 
     # --- small questions
 

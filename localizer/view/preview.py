@@ -40,12 +40,20 @@ class RateLimiter:
         self._next_ns = self._last_ns = 0
 
     def due(self, stamp_ns: int) -> bool:
-        """True if the next period has begun."""
-        since_ns, self._last_ns = stamp_ns - self._last_ns, stamp_ns
-        if self._period_ns is None or 0 <= since_ns < 2 * (self._next_ns - stamp_ns):  # the next one will be nearer
+        """True for the stamp that is nearest to the next due instant. The instant after that is a period later."""
+        since_last_ns = stamp_ns - self._last_ns
+        self._last_ns = stamp_ns
+        if self._period_ns is None:
             return False
-        follows = since_ns >= 0 and stamp_ns < self._next_ns + self._period_ns
-        self._next_ns = (self._next_ns if follows else stamp_ns) + self._period_ns
+        was_set_back = since_last_ns < 0
+        early_ns = self._next_ns - stamp_ns
+        next_stamp_is_nearer = since_last_ns < 2 * early_ns  # if it follows as soon as this one followed the last
+        if not was_set_back and next_stamp_is_nearer:
+            return False
+        has_missed_a_period = -early_ns >= self._period_ns
+        if was_set_back or has_missed_a_period:
+            self._next_ns = stamp_ns  # begin anew from here
+        self._next_ns += self._period_ns
         return True
 
 

@@ -122,33 +122,37 @@ def factorise_held(a: Table, working: ActiveSet) -> int:
 @kernel(part=True)
 def minimise_held(program: ConvexProgram, working: ActiveSet) -> bool:
     """Write the minimum with the held rows at their bounds, and its multipliers, zero for the others. False if the held rows
-    depend on one another."""
+    depend on one another.
+
+    With P = L L' and V = inv(L) A', A the held rows:  V'V mu = V'c - bounds    L'x = c - V mu    where c = -inv(L) q.
+    """
     q, lower, upper = program.q, program.lower, program.upper
     x, y, held, mu = working.x, working.multiplier, working.held, working.mu
     n, across, gram_factor, factor = len(q), working.work[0], working.work[2], working.work[3]
     for i in range(n):
         x[i] = -q[i]
-    forward(factor, n, x)
+    forward(factor, n, x)  # c
     count = factorise_held(program.a, working)
     if count < 0:
         return False
-    count = 0
+    place = 0  # of a row among the held ones
     for row in range(len(held)):
         if held[row] != 0:
-            mu[count] = dot(across[count], x) - (upper[row] if held[row] > 0 else lower[row])
-            count += 1
+            bound = upper[row] if held[row] > 0 else lower[row]
+            mu[place] = dot(across[place], x) - bound
+            place += 1
     forward(gram_factor, count, mu)
     backward(gram_factor, count, mu)
     for j in range(count):
         for i in range(n):
             x[i] -= mu[j] * across[j, i]
     backward(factor, n, x)
-    count = 0
+    place = 0
     for row in range(len(held)):
         y[row] = 0.0
         if held[row] != 0:
-            y[row] = mu[count]
-            count += 1
+            y[row] = mu[place]
+            place += 1
     return True
 
 
@@ -254,17 +258,18 @@ def solve_from(program: ConvexProgram, working: ActiveSet) -> int:
     for taken in range(1, ROUNDS + 1):
         if not minimise_held(program, working):
             break
-        settled = True
+        is_settled = True
         for row in range(len(held)):
             if held[row] != 0:
-                right = y[row] * held[row] >= 0.0
-                held[row] = held[row] if right else 0
+                if not y[row] * held[row] >= 0.0:  # it would pull: let it go
+                    held[row] = 0
+                    is_settled = False
             else:
                 place = dot(a[row], x)
-                right = lower[row] <= place <= upper[row]
-                held[row] = 0 if right else 1 if place > upper[row] else -1
-            settled &= right
-        if settled:
+                if not lower[row] <= place <= upper[row]:
+                    held[row] = 1 if place > upper[row] else -1
+                    is_settled = False
+        if is_settled:
             return taken if math.isfinite(dot(x, x)) else 0
     solved = solve_one_by_one(program, working) and math.isfinite(dot(x, x))
     return ROUNDS + 1 if solved else 0

@@ -46,26 +46,32 @@ class HeadingReference:
         self._force_n = 0j  # filtered, along and across the path's tangent
 
     def turn(self, reference: Reference, estimate: Observation, is_resting: bool) -> float:
-        """Angle to the heading of a reference, one step on."""
-        (mass, *_), (_, linear, *_), (_, quadratic, *_) = self._model.coefficients.tolist()
-        ahead = cmath.rect(1.0, estimate.eta.item(3))
-        (x, y, _, yaw), (x_mps, y_mps, *_), (x_mps2, y_mps2, *_) = (rows[0].tolist() for rows in reference)
-        velocity = complex(x_mps, y_mps)
-        off_m = complex(x, y) - complex(*estimate.eta[:2].tolist())
-        off_mps = velocity - ahead * complex(*estimate.nu[:2].tolist())
+        """Angle from the path's tangent to the heading, one step on: the module's equation, in the pool's plane."""
+        masses, linear_drags, quadratic_drags = self._model.coefficients.tolist()
+        mass, linear, quadratic = masses[0], linear_drags[1], quadratic_drags[1]  # of surge; the drag of sway
+        (x, y, _, tangent_rad), (x_mps, y_mps, *_), (x_mps2, y_mps2, *_) = (rows[0].tolist() for rows in reference)
+        velocity, acceleration = complex(x_mps, y_mps), complex(x_mps2, y_mps2)
+        heading = cmath.rect(1.0, estimate.eta.item(3))
+        error_m = complex(x, y) - complex(*estimate.eta[:2].tolist())
+        error_mps = velocity - heading * complex(*estimate.nu[:2].tolist())
         surge, sway, *_ = estimate.disturbance.tolist()
-        unknown = ahead * complex(surge if is_resting else 0.0, sway)
-        through = velocity - estimate.current
-        force = (linear + quadratic * abs(through)) * through
-        pace = 1.0 + (QUICKER - 1.0) * abs(force) ** 2 / (abs(force) ** 2 + LOUD_N**2)
-        feedback = pace**2 * self._stiff_per_s2 * off_m + pace * self._damp_per_s * off_mps
-        force += mass * (complex(x_mps2, y_mps2) + feedback - unknown)
-        back = cmath.rect(1.0, -yaw)  # what feeds back in a bend turns with it
-        self._force_n += -math.expm1(-self._period_s / FILTER_S) * (back * force - self._force_n)
+        gamma = heading * complex(surge if is_resting else 0.0, sway)
+
+        in_water = velocity - estimate.current
+        force = (linear + quadratic * abs(in_water)) * in_water
+        quicker = 1.0 + (QUICKER - 1.0) * abs(force) ** 2 / (abs(force) ** 2 + LOUD_N**2)
+        feedback = quicker**2 * self._stiff_per_s2 * error_m + quicker * self._damp_per_s * error_mps
+        force += mass * (acceleration + feedback - gamma)
+
+        to_tangent = cmath.rect(1.0, -tangent_rad)  # filtered on the path's axes: what feeds back in a bend turns with it
+        self._force_n += -math.expm1(-self._period_s / FILTER_S) * (to_tangent * force - self._force_n)
+        is_astern = self._force_n.real < 0.0
+        wanted_rad = cmath.phase(-self._force_n if is_astern and not is_resting else self._force_n)
+        turn_rad = wanted_rad - self.off_rad
+        if is_resting:  # to the nearer of this heading and its opposite
+            turn_rad = 0.5 * wrap(2.0 * turn_rad)
         size = abs(self._force_n) ** 4
-        line = cmath.phase(self._force_n if is_resting or self._force_n.real >= 0.0 else -self._force_n)
-        turn = 0.5 * wrap(2.0 * (line - self.off_rad)) if is_resting else line - self.off_rad
-        turn *= size / (size + WORTH_N**4)
-        most = self._period_s * (HOLD_RADPS if is_resting else PATH_RADPS)
-        self.off_rad += min(max(turn, -most), most)
+        turn_rad *= size / (size + WORTH_N**4)
+        most_rad = self._period_s * (HOLD_RADPS if is_resting else PATH_RADPS)
+        self.off_rad += min(max(turn_rad, -most_rad), most_rad)
         return self.off_rad

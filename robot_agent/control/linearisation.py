@@ -94,24 +94,26 @@ def move(dt: float, state: Floats, responses: Responses) -> None:
     cos(yaw) u = cos(yaw0) u - sin(yaw0) u0 (yaw - yaw0), sin alike; -yaw0 belongs to the free response alone.
     """
     x, y, yaw, u = responses.place[0], responses.place[1], responses.axial[1], responses.rate[0]
+    x0, y0, yaw0, u0 = state[0], state[1], state[3], state[4]
     nodes, columns = x.shape
-    n, free = yaw.shape[1] - 1, columns - 1
-    half, cos, sin = 0.5 * dt, math.cos(state[3]), math.sin(state[3])
-    turn_x, turn_y = -sin * state[4], cos * state[4]
-    x[0, free], y[0, free] = state[0], state[1]
+    n, free = yaw.shape[1] - 1, columns - 1  # columns: n blocks of surge, n of yaw, the free response
+    half, cos, sin = 0.5 * dt, math.cos(yaw0), math.sin(yaw0)
+    turn_x, turn_y = -sin * u0, cos * u0
+    x[0, free], y[0, free] = x0, y0
     for k in range(nodes):
         for j in range(columns):
-            # half of this node's velocity belongs to the interval before it, half to the one after
+            is_surge, is_free = j < n, j == free
             step_x, step_y = 0.0, 0.0
-            if j < n or j == free:
-                speed = u[k, j if j < n else n]
+            if is_surge or is_free:
+                speed = u[k, j if is_surge else n]
                 step_x, step_y = half * (cos * speed), half * (sin * speed)
-            if j >= n:
+            if not is_surge:
                 step_x += half * turn_x * yaw[k, j - n]
                 step_y += half * turn_y * yaw[k, j - n]
-            if j == free:
-                step_x -= half * turn_x * state[3]
-                step_y -= half * turn_y * state[3]
+            if is_free:
+                step_x -= half * turn_x * yaw0
+                step_y -= half * turn_y * yaw0
+            # half of this node's velocity belongs to the interval before it, half to the one after
             if k > 0:
                 x[k, j] += step_x
                 y[k, j] += step_y
@@ -124,22 +126,23 @@ def move(dt: float, state: Floats, responses: Responses) -> None:
 def condense(responses: Responses, task: ControlTask, cost: Cost) -> None:
     """Add the errors to the cost: P = smooth + S'WS, q += S'W (free - reference), nodes 1 on.
 
-    Only the lower triangle of P is summed; then it is copied to the upper one.
+    Unknowns are the blocks of surge, yaw and heave, n each: x and y depend on the first two, yaw and z on one. Only the lower
+    triangle of P is summed; then it is copied to the upper one.
     """
     x, y, z, yaw = responses.place[0], responses.place[1], responses.axial[0], responses.axial[1]
     reference, weight, p, q = task.reference, task.weight, cost.p, cost.q
     p[:] = cost.smooth
-    nodes, free = x.shape[0], x.shape[1] - 1
+    nodes, free = x.shape[0], x.shape[1] - 1  # column of the free response
     n = free // 2
     for k in range(1, nodes):
         error_x, error_y = x[k, free] - reference[k, 0], y[k, free] - reference[k, 1]
         error_z, error_yaw = z[k, n] - reference[k, 2], yaw[k, n] - reference[k, 3]
-        for i in range(free):
+        for i in range(free):  # surge and yaw, by x and y
             w_x, w_y = weight[0] * x[k, i], weight[1] * y[k, i]
             q[i] += w_x * error_x + w_y * error_y
             for j in range(i + 1):
                 p[i, j] += w_x * x[k, j] + w_y * y[k, j]
-        for i in range(n):
+        for i in range(n):  # heave by z, yaw by yaw
             w_z, w_yaw = weight[2] * z[k, i], weight[3] * yaw[k, i]
             q[n + i] += w_yaw * error_yaw
             q[free + i] += w_z * error_z
@@ -162,8 +165,11 @@ def linearise_and_condense(model: LinearModel, task: ControlTask, responses: Res
     integrate(dt, task.state[HEAVE], rate[1], axial[0])
     integrate(dt, task.state[YAW], rate[2], axial[1])
     move(dt, task.state, responses)
+    surge, heave, yaw = 0, 1, 2  # of r and demand; the blocks of q are those of surge, yaw, heave
     cost.q[:] = 0.0
-    cost.q[0], cost.q[n], cost.q[2 * n] = -cost.r[0] * task.demand[0], -cost.r[2] * task.demand[2], -cost.r[1] * task.demand[1]
+    cost.q[0] = -cost.r[surge] * task.demand[surge]
+    cost.q[n] = -cost.r[yaw] * task.demand[yaw]
+    cost.q[2 * n] = -cost.r[heave] * task.demand[heave]
     condense(responses, task, cost)
 
 

@@ -57,14 +57,18 @@ class LiveTuning:
         return ""
 
     def apply(self, command: Command, prepared: Prepared, given_ns: int) -> None:
-        """Carry out a command without objection, given at `given_ns` on our clock."""
+        """Keep the `prepared` set of a TUNE, or note the adoption that an ADOPT, given at `given_ns` on our clock, orders.
+
+        There is no objection to the command.
+        """
         if command.order is CommandKind.TUNE and command.tuning is not None and isinstance(prepared, ControllerConfig):
             self._ready = command.tuning.id, prepared
         elif command.order is CommandKind.ADOPT and command.tuning_id == self.id:
-            self._adoption = None
+            self._adoption = None  # this set is flown already: another one that waits is given up
         elif command.order is CommandKind.ADOPT and self._ready is not None:
+            ready_id, ready_config = self._ready
             at_ns = given_ns + round(command.start_in_s * 1e9)
-            self._adoption = Adoption(*self._ready, at_ns, command.trajectory_s)
+            self._adoption = Adoption(ready_id, ready_config, at_ns, command.trajectory_s)
 
     def leave_run(self) -> None:
         """Forget a set that waits for a later lap: the run is over."""

@@ -9,7 +9,7 @@ import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import NamedTuple
 
 from shoal.errors import ConfigError
@@ -78,28 +78,29 @@ def fit(readings: Sequence[ThrustReading], name: str, points: int, still_n: floa
     """The curve of some readings; thrust up to `still_n` counts as none. Raises ConfigError for those of no thruster: too few,
     one-sided, without a dead zone, or with a reading that does not fit the others."""
     ordered = sorted(readings, key=lambda reading: reading.pulse_us)
-    levels = [
-        (pulse, [reading.force_n for reading in group])
-        for pulse, group in groupby(ordered, key=lambda reading: reading.pulse_us)
-    ]
-    if len(levels) < LEAST_PULSES:
-        raise ConfigError(f"{name}: {len(levels)} different pulses (allowed: {LEAST_PULSES} or more)")
-    forces = _isotonic([sum(values) / len(values) for _, values in levels], [len(values) for _, values in levels])
-    forces = [0.0 if abs(force) <= still_n else force for force in forces]
-    dense = tuple((pulse, force) for (pulse, _), force in zip(levels, forces, strict=True))
+    forces_at: dict[int, list[float]] = {}
+    for reading in ordered:
+        forces_at.setdefault(reading.pulse_us, []).append(reading.force_n)
+    if len(forces_at) < LEAST_PULSES:
+        raise ConfigError(f"{name}: {len(forces_at)} different pulses (allowed: {LEAST_PULSES} or more)")
+    means = [sum(values) / len(values) for values in forces_at.values()]
+    weights = [len(values) for values in forces_at.values()]
+    forces = [0.0 if abs(force) <= still_n else force for force in _isotonic(means, weights)]
+    dense = tuple(zip(forces_at, forces, strict=True))
     if not (forces[0] < 0.0 < forces[-1]):
         raise ConfigError(f"{name}: {forces[0]:.2f} N to {forces[-1]:.2f} N: must reach from astern (negative grams) to ahead")
     if forces.count(0.0) < 2:
         raise ConfigError(f"{name}: no two pulses at which the thruster stands still (measure both edges of the dead zone)")
     curve = _thinned(dense, points)
-    off = [(abs(interpolate(curve, reading.pulse_us) - reading.force_n), reading) for reading in ordered]
-    worst_n, worst = max(off, key=lambda pair: pair[0])
+    misses_n = [abs(interpolate(curve, reading.pulse_us) - reading.force_n) for reading in ordered]
+    worst_n = max(misses_n)
+    worst = ordered[misses_n.index(worst_n)]
     if worst_n > OUTLIER * max(-forces[0], forces[-1]) + still_n:
         raise ConfigError(
             f"{name}: line {worst.line}: {worst.force_n:.2f} N at {worst.pulse_us} us is {worst_n:.2f} N off the curve of the "
             "others; measure it again, or remove it"
         )
-    rms_n = math.sqrt(sum(each * each for each, _ in off) / len(off))
+    rms_n = math.sqrt(sum(miss_n * miss_n for miss_n in misses_n) / len(misses_n))
     return ThrustFit(tuple((pulse, round(force, 3)) for pulse, force in curve), rms_n, worst, worst_n)
 
 
@@ -139,5 +140,6 @@ def _thinned(dense: Curve, points: int) -> Curve:
     kept = {dense[0], still[0], still[-1], dense[-1]}
     while len(kept) < min(points, len(dense)):
         curve = sorted(kept)
-        kept.add(max((p for p in dense if p not in kept), key=lambda p: abs(interpolate(curve, p[0]) - p[1])))
+        misses_n = {point: abs(interpolate(curve, point[0]) - point[1]) for point in dense if point not in kept}
+        kept.add(max(misses_n, key=lambda point: misses_n[point]))
     return tuple(sorted(kept))

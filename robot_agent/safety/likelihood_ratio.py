@@ -174,15 +174,29 @@ class LikelihoodRatioTest:
         """`prior` (k, k): covariance of theta at first; `noise`: standard deviation of y at first, `least_noise`: at least.
         Samples within `same_s` of each other are correlated and count once. A missing share, from least to most in `shares`,
         is sought in each of the first `parts` of x."""
-        self._prior, self._least_variance, self._same_s = prior, least_noise**2, same_s
-        self._theta, self._covariance, self._variance = np.zeros(len(prior)), prior.copy(), noise**2
-        # Covariance of told changes that is not yet in `_covariance`: it is added when the first sample after them is learned
-        self._doubt, self._changed_ns = np.zeros_like(prior), 0
-        self._sought, self._spans_s = Sought(parts, *shares), np.array(SPANS_S)
-        # Samples not learned yet stand in the rows from `first` to `end`: instant, (x, y), seconds and roughness
-        self._instants_ns, self._samples = np.zeros(KEPT, np.int64), np.zeros((KEPT, len(prior) + 1))
-        self._spread, self._first, self._end = np.zeros((KEPT, 2)), 0, 0
+        least_share, most_share = shares
+        self._prior = prior
+        self._least_variance = least_noise**2
+        self._same_s = same_s
+        self._sought = Sought(parts, least_share, most_share)
+        self._spans_s = np.array(SPANS_S)
         self.evidence = 0.0  # that a part is missing now
+
+        # What was learned from all samples but the newest
+        self._theta = np.zeros(len(prior))
+        self._covariance = prior.copy()
+        self._variance = noise**2
+
+        # Covariance of changes that the caller has told and that is not yet in `_covariance`: it is added when the first
+        # sample after them is learned
+        self._doubt = np.zeros_like(prior)
+        self._changed_ns = 0
+
+        # Samples that are not learned yet: the rows from `first` to `end` of three tables
+        self._instants_ns = np.zeros(KEPT, np.int64)
+        self._samples = np.zeros((KEPT, len(prior) + 1))  # x, y
+        self._spread = np.zeros((KEPT, 2))  # seconds since the sample before, and roughness
+        self._first = self._end = 0
 
     def note_sample(self, x: Array, y: float, rough: float, elapsed_s: float, at_ns: int) -> None:
         """Take in y with x at an instant, `elapsed_s` after the last sample; `rough` is an additional standard deviation

@@ -33,8 +33,8 @@ class PathDeviationMonitor:
         """Take in the robot's place and its reference, both x + iy in m. `is_free`: the robot avoids nothing at this step.
         `path_is_blocked`: it avoids what it would meet on its path too."""
         off_m = abs(place_m - path_m)
-        drift_mps, at_once = self._motion(place_m, path_m, now_ns)
-        if at_once:
+        drift_mps, path_leaps = self._motion(place_m, path_m, now_ns)
+        if path_leaps:
             self.has_arrived = self.is_on_path = False
         if off_m + drift_mps * FORESEEN_S < ARRIVED * self._limit_m:
             self.has_arrived, self.is_on_path = is_free, True
@@ -55,8 +55,10 @@ class PathDeviationMonitor:
         before, self._before = self._before, (place_m, path_m, now_ns)
         if before is None:
             return float("inf"), False
-        per_s = 1e9 / max(now_ns - before[2], 1)
-        path_mps_before, path_mps = self._path_mps, (path_m - before[1]) * per_s
+        place_before_m, path_before_m, before_ns = before
+        per_s = 1e9 / max(now_ns - before_ns, 1)
+        robot_mps = (place_m - place_before_m) * per_s
+        path_mps = (path_m - path_before_m) * per_s
+        leaps = self._path_mps is not None and abs(path_mps - self._path_mps) > AT_ONCE_MPS
         self._path_mps = path_mps
-        at_once = path_mps_before is not None and abs(path_mps - path_mps_before) > AT_ONCE_MPS
-        return abs((place_m - before[0]) * per_s - path_mps), at_once
+        return abs(robot_mps - path_mps), leaps

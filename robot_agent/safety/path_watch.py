@@ -184,25 +184,30 @@ class PathWatch:
     def _stronger_force(self, step: _Step) -> str:
         """Evidence that a force is stronger than the robot; empty if none is."""
         estimate, off_m, now_ns = step.observation.estimate, step.off_m, step.now_ns
-        learned = 1.0 if estimate.thrust_ratio is None else estimate.thrust_ratio
-        force = math.hypot(estimate.disturbance[0], estimate.disturbance[1]) / (self._thrust_mps2 * learned)
+        # This moment's force and thrust, as shares of full thrust, and the mean of those of the last seconds
+        thrust_ratio = 1.0 if estimate.thrust_ratio is None else estimate.thrust_ratio
+        surge_mps2, sway_mps2, *_ = estimate.disturbance
+        force = math.hypot(surge_mps2, sway_mps2) / (self._thrust_mps2 * thrust_ratio)
+        thrust = abs(step.control.wrench_delivered[0]) / self._thrust_n
         velocity_mps = cmath.rect(1.0, estimate.eta.item(3)) * complex(estimate.nu[0], estimate.nu[1])
-        given = abs(step.control.wrench_delivered[0]) / self._thrust_n
-        self._moments.append(_Moment(now_ns, force, given, off_m, velocity_mps))
+        self._moments.append(_Moment(now_ns, force, thrust, off_m, velocity_mps))
         while len(self._moments) > 2 and self._moments[1].at_ns <= now_ns - STRONGER_S * NS:
             self._moments.popleft()
-        first, count = self._moments[0], len(self._moments)
-        lasted_s = (now_ns - first.at_ns) / NS
-        self.force = sum(m.force for m in self._moments) / count
+        self.force = sum(m.force for m in self._moments) / len(self._moments)
+        mean_thrust = sum(m.thrust for m in self._moments) / len(self._moments)
         self._now = max(self.force, force, (abs(step.observation.current) / self._fastest_mps) ** 2)
-        thrust = sum(m.thrust for m in self._moments) / count
-        some_mps = GROWING * self._fastest_mps
+        # Whether the robot goes away from its reference all the same, and no more slowly than at first
+        first = self._moments[0]
+        lasted_s = (now_ns - first.at_ns) / NS
+        growing_mps = GROWING * self._fastest_mps
         away = complex(*(step.observation.eta[:2] - step.control.eta_reference[:2]).tolist())
-        brakes = ((velocity_mps - first.velocity_mps) * away.conjugate()).real < -some_mps * off_m
-        is_carried = off_m - first.off_m > some_mps * lasted_s and not brakes
-        if lasted_s < STRONGER_S or self.force < STRONGER or thrust < NEAR_FULL or not is_carried:
+        brakes = ((velocity_mps - first.velocity_mps) * away.conjugate()).real < -growing_mps * off_m
+        is_carried_off = off_m - first.off_m > growing_mps * lasted_s and not brakes
+        is_weak = self.force < STRONGER or mean_thrust < NEAR_FULL
+        if lasted_s < STRONGER_S or is_weak or not is_carried_off:
             return ""
-        return f"it takes {100.0 * self.force:.0f} % of full thrust and carries the robot off; {100.0 * thrust:.0f} % is given"
+        force_percent, thrust_percent = 100.0 * self.force, 100.0 * mean_thrust
+        return f"it takes {force_percent:.0f} % of full thrust and carries the robot off; {thrust_percent:.0f} % is given"
 
     def _is_surprised(self, step: _Step) -> bool:
         """True if the robot is not where its plan said, for LASTS_S, though what it was to fly has stayed the same."""

@@ -113,16 +113,17 @@ def follow_legs(
     """Let what legs would give with their ankles level, `work[0]`, and their ankles, `work[1]`, follow their commands between
     the two instants of `span_ns`. `impulse` (legs,) is the integral of the product with the angle's cosine. `work` (4, legs)
     goes on from call to call."""
+    acting, angle, level_impulse, cosine_before = work[0], work[1], work[2], work[3]
     impulse[:] = 0.0
     begin_ns, to_ns = span_ns
     while begin_ns < to_ns:
         end_ns = min(begin_ns + FINE_NS, to_ns)
-        follow_commands(thrust.at_ns, thrust.commands, thrust.rows, lag_s, begin_ns, end_ns, work[0], work[2])
+        follow_commands(thrust.at_ns, thrust.commands, thrust.rows, lag_s, begin_ns, end_ns, acting, level_impulse)
         for leg in range(len(impulse)):
-            work[3, leg] = math.cos(work[1, leg])
-        turn_ankles(ankles, rate_radps, begin_ns, end_ns, work[1])
+            cosine_before[leg] = math.cos(angle[leg])
+        turn_ankles(ankles, rate_radps, begin_ns, end_ns, angle)
         for leg in range(len(impulse)):
-            impulse[leg] += work[2, leg] * 0.5 * (work[3, leg] + math.cos(work[1, leg]))
+            impulse[leg] += level_impulse[leg] * 0.5 * (cosine_before[leg] + math.cos(angle[leg]))
         begin_ns = end_ns
 
 

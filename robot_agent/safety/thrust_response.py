@@ -97,6 +97,7 @@ def advance_filter(x: Complexes, p: ComplexCube, j: int, restless: float, push: 
     v, d = x[j, V], x[j, D]
     slope = push.linear_per_s + push.quadratic_per_m * abs(v)
     kept = math.exp(-dt / GAIN_LASTS_S)
+    # F, the derivative of the state after by the state before
     f[:] = 0.0
     for i in range(STATES):
         f[i, i] = 1.0
@@ -104,10 +105,12 @@ def advance_filter(x: Complexes, p: ComplexCube, j: int, restless: float, push: 
     f[P, V], f[P, A] = dt - 0.5 * dt * dt * d * slope, 0.5 * dt * dt
     f[P, G], f[P, D] = 0.5 * dt * dt * a, -0.5 * dt * dt * slope * v
     f[G, G] = kept
+    # the mean
     change = dt * (x[j, A] + x[j, G] * a - d * slope * v)
     x[j, P] += dt * v + 0.5 * dt * change
     x[j, V] = v + change
     x[j, G] = 1.0 + kept * (x[j, G] - 1.0)
+    # the covariance: F P F^H + Q
     for i in range(STATES):
         for k in range(STATES):
             total = 0.0j

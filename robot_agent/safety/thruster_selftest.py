@@ -54,12 +54,13 @@ class ThrusterSelftest:
 
     def _wild(self, asked_us: Sequence[int], echo_us: Sequence[int]) -> str:
         """Text about thrusters that turn though they should not, or faster than asked, or in reverse; empty if none does."""
-        rows = zip(asked_us, self._neutral_us, echo_us, strict=False)
-        return "; ".join(
-            f"thruster {k + 1} was asked for {pulse} us, the board says {echo}"
-            for k, (pulse, neutral, echo) in enumerate(list(rows)[: self._thrusters])
-            if not min(pulse, neutral) - TOLERANCE_US <= echo <= max(pulse, neutral) + TOLERANCE_US
-        )
+        texts = []
+        for k in range(self._thrusters):
+            pulse, neutral, echo = asked_us[k], self._neutral_us[k], echo_us[k]
+            least, most = min(pulse, neutral) - TOLERANCE_US, max(pulse, neutral) + TOLERANCE_US
+            if not least <= echo <= most:
+                texts.append(f"thruster {k + 1} was asked for {pulse} us, the board says {echo}")
+        return "; ".join(texts)
 
     def _verdict(self) -> str:
         wrong = [

@@ -401,13 +401,14 @@ class Estimator:
         """Start at rest at a pose. Depth and the heave disturbance have another source and go on."""
         if not self._begun:
             depth = sensed_at(self._sensed_samples(), 0, pose.stamp_ns)
-            z, yaw, w = 0.0 if math.isnan(depth) else depth, pose.yaw_rad, 0.0
-            thrust: State = (0.0, 0.0, 0.0, 0.0)
+            z = 0.0 if math.isnan(depth) else depth
+            yaw, w = pose.yaw_rad, 0.0
+            surge_n = heave_n = yaw_nm = sway_n = 0.0
         else:
-            _, _, z, yaw, _, _, w, _, *rest = self._predicted(pose.stamp_ns)
-            yaw, thrust = yaw + wrap(pose.yaw_rad - yaw), tuple(rest)
-        self._belief[STATE] = (pose.x_m, pose.y_m, z, yaw, 0.0, 0.0, w, 0.0, *thrust[:3])
-        self._belief[SWAY_THRUST] = thrust[3]
+            _, _, z, yaw, _, _, w, _, surge_n, heave_n, yaw_nm, sway_n = self._predicted(pose.stamp_ns)
+            yaw += wrap(pose.yaw_rad - yaw)
+        self._belief[STATE] = (pose.x_m, pose.y_m, z, yaw, 0.0, 0.0, w, 0.0, surge_n, heave_n, yaw_nm)
+        self._belief[SWAY_THRUST] = sway_n
         self._belief[GAMMA] = (0.0, 0.0, self._belief[GAMMA][2], 0.0)
         self._belief[CURRENT] = 0.0
         self._at_ns, self._begun = pose.stamp_ns, True

@@ -110,6 +110,7 @@ NEUTRAL = 1e-6  # of the thrusters' force: that much is none
 BANDWIDTH_S = 4.0  # over which the bandwidth is averaged
 
 LEARNS, FACED_X, FACED_Y, BANDWIDTH = range(4)  # of `track`
+OWN_U, OWN_V, OWN_R, WATER_X, WATER_Y = 11, 12, 14, 15, 16  # of the belief: own forces per mass, and the current
 
 
 class LearnedModel(NamedTuple):
@@ -218,42 +219,50 @@ def weigh_pose(
 
 @kernel(part=True)
 def inject(learned: LearnedModel, numbers: Floats, change: Floats) -> None:
-    """Add the mean error to the belief, and write what is learned into the model."""
+    """Add the mean error to the belief, within bounds, and write the learned ratios into the model."""
+    model, nominal, sway = learned.motion.coefficients, learned.nominal, learned.motion.sway
+    # pose (0 to 3) and velocity (4 to 7)
     numbers[0] += change[X]
     numbers[1] += change[Y]
     numbers[3] += change[YAW]
     numbers[4] += change[U]
-    numbers[5] += learned.motion.sway * change[V]
+    numbers[5] += sway * change[V]
     numbers[7] += change[R]
-    numbers[11] += learned.estimates * change[FORCE_U]
-    numbers[12] += learned.estimates * learned.motion.sway * change[FORCE_V]
-    numbers[14] += learned.estimates * change[FORCE_R]
-    most_mps2, most_radps2 = (
-        MOST_FORCE * learned.most_n / learned.nominal[0, 0],
-        MOST_FORCE * learned.most_nm / learned.nominal[0, 3],
-    )
-    for k, most in ((11, most_mps2), (12, most_mps2), (14, most_radps2)):
-        numbers[k] = min(max(numbers[k], -most), most)
-    numbers[15] += learned.motion.sway * change[CURRENT_X]
-    numbers[16] += learned.motion.sway * change[CURRENT_Y]
+    # own forces, no larger than a few times what thrusters can
+    numbers[OWN_U] += learned.estimates * change[FORCE_U]
+    numbers[OWN_V] += learned.estimates * sway * change[FORCE_V]
+    numbers[OWN_R] += learned.estimates * change[FORCE_R]
+    most_mps2 = MOST_FORCE * learned.most_n / nominal[0, 0]
+    most_radps2 = MOST_FORCE * learned.most_nm / nominal[0, 3]
+    numbers[OWN_U] = min(max(numbers[OWN_U], -most_mps2), most_mps2)
+    numbers[OWN_V] = min(max(numbers[OWN_V], -most_mps2), most_mps2)
+    numbers[OWN_R] = min(max(numbers[OWN_R], -most_radps2), most_radps2)
+    # ratios and the gyroscope's bias
     for i in range(4):
         numbers[LN + i] = min(max(numbers[LN + i] + change[DRAG + i], -MOST_LOG), MOST_LOG)
     numbers[BIAS] += change[GYRO]
-    fast = math.hypot(numbers[15], numbers[16])
-    if fast > learned.fastest_mps:  # what is beyond is the robot's motion through the water
-        beyond = 1.0 - learned.fastest_mps / fast
-        bx, by, cos, sin = beyond * numbers[15], beyond * numbers[16], math.cos(numbers[3]), math.sin(numbers[3])
-        numbers[15] -= bx
-        numbers[16] -= by
-        numbers[4] += cos * bx + sin * by
-        numbers[5] += learned.motion.sway * (cos * by - sin * bx)
-    d, t, n, a = math.exp(numbers[LN]), math.exp(numbers[LN + 1]), math.exp(numbers[LN + 2]), math.exp(numbers[LN + 3])
-    model, nominal = learned.motion.coefficients, learned.nominal
+    # the current, no faster than one can be: what is beyond is the robot's motion through the water
+    numbers[WATER_X] += sway * change[CURRENT_X]
+    numbers[WATER_Y] += sway * change[CURRENT_Y]
+    current_mps = math.hypot(numbers[WATER_X], numbers[WATER_Y])
+    if current_mps > learned.fastest_mps:
+        share = 1.0 - learned.fastest_mps / current_mps
+        beyond_x, beyond_y = share * numbers[WATER_X], share * numbers[WATER_Y]
+        cos, sin = math.cos(numbers[3]), math.sin(numbers[3])
+        numbers[WATER_X] -= beyond_x
+        numbers[WATER_Y] -= beyond_y
+        numbers[4] += cos * beyond_x + sin * beyond_y
+        numbers[5] += sway * (cos * beyond_y - sin * beyond_x)
+    # inertia and both kinds of drag: of surge and sway, then of yaw
+    drag_ratio, thrust_ratio = math.exp(numbers[LN]), math.exp(numbers[LN + 1])
+    moment_ratio, yaw_drag_ratio = math.exp(numbers[LN + 2]), math.exp(numbers[LN + 3])
     for i in range(2):
-        model[0, i] = nominal[0, i] / t
-        model[1, i], model[2, i] = nominal[1, i] * d / t, nominal[2, i] * d / t
-    model[0, 3] = nominal[0, 3] / n
-    model[1, 3], model[2, 3] = nominal[1, 3] * a / n, nominal[2, 3] * a / n
+        model[0, i] = nominal[0, i] / thrust_ratio
+        model[1, i] = nominal[1, i] * drag_ratio / thrust_ratio
+        model[2, i] = nominal[2, i] * drag_ratio / thrust_ratio
+    model[0, 3] = nominal[0, 3] / moment_ratio
+    model[1, 3] = nominal[1, 3] * yaw_drag_ratio / moment_ratio
+    model[2, 3] = nominal[2, 3] * yaw_drag_ratio / moment_ratio
 
 
 @kernel(part=True)
@@ -283,13 +292,14 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
 def tell_ground(learned: LearnedModel, now: Table, water_x: float, water_y: float) -> None:
     """Change the rows of `now` that a current changes: velocities are over ground, and what a model of still water does not
     explain is the drag too."""
-    through_u, through_v = drag(learned.motion.coefficients, now[1, 0], now[1, 1])
-    cos, sin = math.cos(now[0, 3]), math.sin(now[0, 3])
-    now[1, 0] += cos * water_x + sin * water_y
-    now[1, 1] += cos * water_y - sin * water_x
-    over_u, over_v = drag(learned.motion.coefficients, now[1, 0], now[1, 1])
-    now[3, 0] += over_u - through_u
-    now[3, 1] += over_v - through_v
+    eta, nu, unexplained = now[0], now[1], now[3]
+    in_water_u, in_water_v = drag(learned.motion.coefficients, nu[0], nu[1])
+    cos, sin = math.cos(eta[3]), math.sin(eta[3])
+    nu[0] += cos * water_x + sin * water_y
+    nu[1] += cos * water_y - sin * water_x
+    over_ground_u, over_ground_v = drag(learned.motion.coefficients, nu[0], nu[1])
+    unexplained[0] += over_ground_u - in_water_u
+    unexplained[1] += over_ground_v - in_water_v
 
 
 @kernel(part=True)
@@ -331,28 +341,31 @@ def observe(
     command given now acts. False, and the belief stays, if the pose is farther off than GATE_M or GATE_RAD."""
     numbers, motion, at_ns, stamp_ns, passes = belief.numbers, learned.motion, instants.at_ns, sighting.stamp_ns, True
     if stamp_ns > at_ns:
-        water = (numbers[15], numbers[16])
-        there = propagate(motion, state_of(numbers), gamma_of(numbers), water, commands, at_ns, stamp_ns)
-        passes, ex, ey, turned = passes_gate(there, sighting)
+        state, gamma, water = state_of(numbers), gamma_of(numbers), (numbers[WATER_X], numbers[WATER_Y])
+        expected = propagate(motion, state, gamma, water, commands, at_ns, stamp_ns)
+        passes, ex, ey, turned = passes_gate(expected, sighting)
         if passes:
             step_s = (stamp_ns - at_ns) * 1e-9
             steps = (stamp_ns - at_ns + LONGEST_STEP_NS - 1) // LONGEST_STEP_NS
-            arrived = np.array(there)
+            arrived = np.array(expected)
+            # The gyroscope against what the model expects at its own instant: between two samples a light hull turns freely
             sample, rate_error, late_s = rate_before(samples, at_ns, stamp_ns), math.nan, 0.0
-            if sample >= 0:  # what the model expects at that instant: between two samples a light hull turns as it likes
+            if sample >= 0:
                 sensed_ns = samples.sensed_ns[sample]
-                then = propagate(motion, state_of(numbers), gamma_of(numbers), water, commands, at_ns, sensed_ns)
-                rate_error = samples.sensed[sample, 1] - then[7] - numbers[BIAS]
+                sensing = propagate(motion, state, gamma, water, commands, at_ns, sensed_ns)
+                rate_error = samples.sensed[sample, 1] - sensing[7] - numbers[BIAS]
                 late_s = (stamp_ns - sensed_ns) * 1e-9
+            # Predict the filters and the belief to the pose's instant; own forces fade
             interact(bank, -math.expm1(-step_s / KIND_LASTS_S))
             restless = quickest(learned, sighting, step_s)
             cross(learned, bank, noise, numbers, arrived, step_s, steps, restless)
             for i in range(11):
                 numbers[i] = arrived[i]
             numbers[SIDE] = arrived[STATES - 1]
-            numbers[11] *= math.exp(-step_s / noise.lasts_s)
-            numbers[12] *= math.exp(-step_s / noise.lasts_s)
-            numbers[14] *= math.exp(-step_s / noise.lasts_s)
+            numbers[OWN_U] *= math.exp(-step_s / noise.lasts_s)
+            numbers[OWN_V] *= math.exp(-step_s / noise.lasts_s)
+            numbers[OWN_R] *= math.exp(-step_s / noise.lasts_s)
+            # Correct them by the pose, the yaw rate and the depth
             rate_variance = GYRO_RADPS**2 + bank.work[1, 0, R] * steps / step_s * late_s
             weigh_pose(bank, (ex, ey, turned), rate_error, rate_variance, sighting, belief.track[LEARNS] > 0.0)
             change = bank.work[3, 3]
@@ -363,16 +376,17 @@ def observe(
                 correct_heave(learned, numbers, depth, step_s)
             follow(bank, belief, sighting, step_s)
             at_ns = stamp_ns
-    gamma, water = gamma_of(numbers), (numbers[15], numbers[16])
-    here = propagate(motion, state_of(numbers), gamma, water, commands, at_ns, instants.now_ns)
-    then = propagate(motion, here, gamma, water, commands, instants.now_ns, instants.acts_ns)
+    # Predict the robot's state now, and when a command given now acts
+    gamma, water = gamma_of(numbers), (numbers[WATER_X], numbers[WATER_Y])
+    present = propagate(motion, state_of(numbers), gamma, water, commands, at_ns, instants.now_ns)
+    acting = propagate(motion, present, gamma, water, commands, instants.now_ns, instants.acts_ns)
     now = belief.now
     for i in range(4):
-        now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
+        now[0, i], now[1, i], now[2, i], now[3, i] = present[i], present[4 + i], gamma[i], gamma[i]
     tell_ground(learned, now, water[0], water[1])
     tell_deviations(bank.mixed, numbers[3], belief.deviation)
     for i in range(STATES):
-        belief.action[i] = then[i]
+        belief.action[i] = acting[i]
     return passes
 
 
@@ -479,14 +493,17 @@ class KalmanEstimator(Estimator):
             self._forget()
             self._belief[:], self._bank.mixed[:], self._model.coefficients[:] = 0.0, 0.0, self._model.nominal
             return None
-        d, t, n = (math.exp(value) for value in numbers[LN : LN + 3])
-        w = self._track.item(BANDWIDTH)
+        drag_ratio, thrust_ratio, moment_ratio = (math.exp(value) for value in numbers[LN : LN + 3])
         place, yaw, velocity, ground, rate, current = deviations[:6]
-        own_force, ratios = self._deviation[6:9].copy(), Ratios(deviations[9], deviations[10], deviations[11])
+        own_force = self._deviation[6:9].copy()
+        drag_deviation, thrust_deviation, moment_deviation = deviations[9:]
+        ratios = Ratios(drag_deviation, thrust_deviation, moment_deviation)
         return estimate._replace(
-            estimate=replace(estimate.estimate, drag_ratio=d, thrust_ratio=t), moment_ratio=n, bandwidth_radps=w,
+            estimate=replace(estimate.estimate, drag_ratio=drag_ratio, thrust_ratio=thrust_ratio),
+            moment_ratio=moment_ratio,
+            bandwidth_radps=self._track.item(BANDWIDTH),
             deviations=Deviations(place, yaw, velocity, ground, rate, current, own_force, ratios),
-        )  # fmt: skip
+        )
 
     def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:
         at_ns = self._at_ns

@@ -8,7 +8,7 @@ what = "thruster 2/3 dead"   # the same as --fault "t=20 for=5 thruster 2/3 dead
 
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Self
 
@@ -130,28 +130,32 @@ def read_what(text: str) -> Break:
     if kind not in KINDS:
         raise ValueError(f"{kind!r} cannot be broken (allowed: {', '.join(KINDS)})")
     target, effects = KINDS[kind]
-    usage = " ".join(part for part in (kind, target, "|".join(_usage(*item) for item in effects.items())) if part)
-    left_out = target == "[CAMERA]" and words and words[0] in effects
-    target_text = words.pop(0) if target and words and not left_out else ""
+    usages = "|".join(_usage(name, effect) for name, effect in effects.items())
+    malformed = ValueError("must read: " + " ".join(part for part in (kind, target, usages) if part))
+    is_left_out = target == "[CAMERA]" and words and words[0] in effects
+    target_text = words.pop(0) if target and words and not is_left_out else ""
     match = re.fullmatch(_TARGETS[target], target_text)
-    if match is None or not words or words[0] not in effects or len(words) > 1 + bool(effects[words[0]].meaning):
-        raise ValueError(f"must read: {usage}")
-    effect = effects[words[0]]
-    value = _number(words[1], effect) if len(words) > 1 else effect.default
-    robot, thruster, process, camera, place_m = 0, 0, "", "", (0.0, 0.0)
+    if match is None or not words or words[0] not in effects:
+        raise malformed
+    name, *numbers = words
+    effect = effects[name]
+    if len(numbers) > (1 if effect.meaning else 0):
+        raise malformed
+    broken = Break(kind, name, _number(numbers[0], effect) if numbers else effect.default)
     if target == "NAME":
-        process = target_text
-    elif target == "[CAMERA]":
-        camera = target_text
-    elif target == "X,Y":
-        place_m = float(match[1]), float(match[2])
-    elif target:
-        robot, thruster = (int(number) for number in (*match.groups(), "0")[:2])
-    if target.startswith("ROBOT") and robot < 1:
+        return replace(broken, process=target_text)
+    if target == "[CAMERA]":
+        return replace(broken, camera=target_text)
+    if target == "X,Y":
+        return replace(broken, place_m=(float(match[1]), float(match[2])))
+    if not target:
+        return broken
+    robot, thruster = int(match[1]), int(match[2]) if target == "ROBOT/THRUSTER" else 0
+    if robot < 1:
         raise ValueError(f"robot {robot}: no robot has this number (allowed: 1 and more)")
     if target == "ROBOT/THRUSTER" and not 1 <= thruster <= OUTPUTS:
         raise ValueError(f"thruster {thruster} of robot {robot}: no such thruster (allowed: 1 to {OUTPUTS})")
-    return Break(kind, words[0], value, robot, thruster, process, place_m, camera)
+    return replace(broken, robot=robot, thruster=thruster)
 
 
 BY_HAND = "by hand: "  # begins the log's line about a fault that a person made, written as --fault takes it

@@ -198,20 +198,27 @@ def _allowed(value: dict[str, Any]) -> str:
     if "anyOf" in value:
         return _allowed(value["anyOf"][0])
     if value.get("type") == "array":
-        ranges = [_allowed(item) for item in value.get("prefixItems", [value.get("items")])]
-        inside = ranges[0] if len(set(ranges)) == 1 else ", ".join(one or "any" for one in ranges)
-        fewest = value.get("minItems", 0) if "prefixItems" not in value else 0
-        most = value.get("maxItems", "") if "prefixItems" not in value else ""
-        length = f"{fewest} to {most} of them" if most else f"{fewest} or more of them" if fewest else ""
-        inside = inside if not inside or inside.startswith("each ") or "," in inside else f"each {inside}"
-        return "; ".join(part for part in (inside, length) if part)
+        return _allowed_entries(value)
     if "pattern" in value:
         return f"matches {value['pattern']}"
-    low = value.get("minimum", value.get("exclusiveMinimum"))
-    high = value.get("maximum", value.get("exclusiveMaximum"))
-    above = f"> {low:g}" if "exclusiveMinimum" in value else f">= {low:g}" if low is not None else ""
-    below = f"< {high:g}" if "exclusiveMaximum" in value else f"<= {high:g}" if high is not None else ""
-    return " and ".join(part for part in (above, below) if part)
+    bounds = (("exclusiveMinimum", ">"), ("minimum", ">="), ("exclusiveMaximum", "<"), ("maximum", "<="))
+    return " and ".join(f"{sign} {value[key]:g}" for key, sign in bounds if value.get(key) is not None)
+
+
+def _allowed_entries(value: dict[str, Any]) -> str:
+    """The range of each entry of a list, and how many there may be."""
+    is_fixed = "prefixItems" in value
+    ranges = [_allowed(item) for item in (value["prefixItems"] if is_fixed else [value["items"]])]
+    inside = ranges[0] if len(set(ranges)) == 1 else ", ".join(one or "any" for one in ranges)
+    if inside and not inside.startswith("each ") and "," not in inside:
+        inside = f"each {inside}"
+    fewest, most = value.get("minItems", 0), value.get("maxItems")
+    length = ""
+    if not is_fixed and most:
+        length = f"{fewest} to {most} of them"
+    elif not is_fixed and fewest:
+        length = f"{fewest} or more of them"
+    return "; ".join(part for part in (inside, length) if part)
 
 
 @cache

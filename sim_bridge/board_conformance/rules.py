@@ -333,16 +333,26 @@ def _empty_battery(probe: BoardProbe) -> Measured:
 
 def _resync(probe: BoardProbe) -> Measured:
     """Send noise of several kinds, then a question in each control period until one is answered."""
-    longest = bytes([0xFD, 255, 0, 0, 0, probe.robot_id, 191]) + (131).to_bytes(3, "little")
-    noises = [longest, bytes([0xFD]) * 40, bytes(range(256)), bytes([0xFE, 255]) * 9, probe.pulses()[:-3], longest * 3]
-    worst = 0.0
+    mavlink_1, mavlink_2 = 0xFE, 0xFD  # a frame's first byte
+    longest_head = bytes([mavlink_2, 255, 0, 0, 0, probe.robot_id, 191]) + (131).to_bytes(3, "little")  # and no payload
+    noises = (
+        longest_head,
+        bytes([mavlink_2]) * 40,
+        bytes(range(256)),
+        bytes([mavlink_1, 255]) * 9,
+        probe.pulses()[:-3],  # a frame that is cut off
+        longest_head * 3,
+    )
+    worst_s = 0.0
     for noise in noises:
         probe.wire.send(noise)
-        begun_ns, took = probe.wire.now_ns(), math.inf
-        while took == math.inf and probe.wire.now_ns() - begun_ns < 1000 * MS:
-            took = probe.answers(probe.computer.timesync(probe.wire.now_ns()), PERIOD_NS * 1e-9)
-        worst = max(worst, (probe.wire.now_ns() - begun_ns) * 1e-9 if took < math.inf else math.inf)
-    return worst <= RESYNC_WITHIN_S, ms(worst)
+        begun_ns, is_answered = probe.wire.now_ns(), False
+        while not is_answered and probe.wire.now_ns() - begun_ns < 1000 * MS:
+            answered_in_s = probe.answers(probe.computer.timesync(probe.wire.now_ns()), PERIOD_NS * 1e-9)
+            is_answered = answered_in_s < math.inf
+        resynchronised_s = (probe.wire.now_ns() - begun_ns) * 1e-9 if is_answered else math.inf
+        worst_s = max(worst_s, resynchronised_s)
+    return worst_s <= RESYNC_WITHIN_S, ms(worst_s)
 
 
 def _twice(probe: BoardProbe) -> Measured:
@@ -422,12 +432,18 @@ def _simulated(probe: BoardProbe) -> bool:
 
 def _hil(probe: BoardProbe) -> Measured:
     """Measurements are the simulator's, and HEARTBEAT says so; after HIL mode they are the board's own again."""
-    is_hil = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
-    came = probe.stream(probe.motion, 0.5, lambda: _simulated(probe))
+    says_hil = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
+    measures_simulated = probe.stream(probe.motion, 0.5, lambda: _simulated(probe))
     probe.set("HIL_MODE", 0.0)
     has_left = probe.stream(probe.motion, 0.5, lambda: not (probe.computer.telemetry.hil or _simulated(probe)))
-    failed = [text for good, text in ((is_hil, "not said"), (came, "own measurements"), (has_left, "not left")) if not good]
-    return not failed, ", ".join(failed) or "entered, and left"
+    failures = []
+    if not says_hil:
+        failures.append("not said")
+    if not measures_simulated:
+        failures.append("own measurements")
+    if not has_left:
+        failures.append("not left")
+    return not failures, ", ".join(failures) or "entered, and left"
 
 
 def _hil_silence(probe: BoardProbe) -> Measured:

@@ -26,6 +26,7 @@ COLOUR, COVER, PLATE_COVER, PLATE_COLUMN, PLATE_ROW, MARKING = range(FIELDS, FIE
 SPHERE_COVER, SKIN_COLUMN, SKIN_ROW, PAINT, NORMAL_X, NORMAL_Y, UP, SHADE, HIGHLIGHT = range(FIELDS + 6, FIELDS + 15)
 RIGHT, DOWN, TEXELS, LANE_ROWS = FIELDS + 15, FIELDS + 16, FIELDS + 17, FIELDS + 21
 LAMP_X, LAMP_Y, LAMP_UP = -0.30, -0.22, 0.93  # direction to most of the light: pool x, y and up; shadows fall the other way
+LOWEST = -0.999  # vertical part of a normal, beside the bottom, which is the skin's whole rim
 AMBIENT, DIFFUSE = 0.50, 0.56  # shares of ambient and of directed light on a hull
 GLOSS = 26.0  # grey levels of a wet hull's highlight, which falls with the 24th power of the light
 SHADOW = 0.42  # share of the light that is missing in the middle of a shadow
@@ -167,11 +168,12 @@ def hull_look(
     ahead = attitudes[pose, 0, 0] * normal_x + attitudes[pose, 1, 0] * normal_y - attitudes[pose, 2, 0] * up
     aside = attitudes[pose, 0, 1] * normal_x + attitudes[pose, 1, 1] * normal_y - attitudes[pose, 2, 1] * up
     above = attitudes[pose, 2, 2] * up - attitudes[pose, 0, 2] * normal_x - attitudes[pose, 1, 2] * normal_y
-    flat = half / math.sqrt(2.0 * (1.0 + max(above, -0.999)))
+    flat = half / math.sqrt(2.0 * (1.0 + max(above, LOWEST)))
     lamp = max(normal_x * LAMP_X + normal_y * LAMP_Y + up * LAMP_UP, 0.0)
     lamp2 = lamp * lamp
     lamp8 = lamp2 * lamp2 * lamp2 * lamp2
-    shade = AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp
+    sky = 0.6 + 0.4 * up  # ambient light, which comes more from above
+    shade = AMBIENT * sky + DIFFUSE * lamp
     return ahead * flat + half - 0.5, aside * flat + half - 0.5, shade, GLOSS * lamp8 * lamp8 * lamp8
 
 

@@ -5,6 +5,8 @@ traced through the wavy surface to the plan, and the pixels between blocks inter
 at the blocks and to 0.1 px between them; only edges between floor, walls and deck are soft within a block.
 """
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -15,7 +17,7 @@ from shoal.config.simulation import CameraMotion
 from shoal.frames import Array
 from sim_bridge.camera.kernels import BLOCK
 from sim_bridge.camera.optics import Bytes, Float
-from sim_bridge.camera.rays import CameraRays
+from sim_bridge.camera.rays import BAYER, CameraRays
 from sim_bridge.camera.scene import SurfacePoints, WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
 from sim_bridge.camera.water_optics import WaterLight
@@ -80,22 +82,31 @@ class MovingBackground:
         slopes = scene.slopes(self._waters.ripple_clock.loop_s(time_s))
         hit = trace_to_surfaces(view.blocks.deflected(scene.bending * slopes[0], scene.bending * slopes[1]), self._pool)
         x, y = plan_coordinates(hit, self._pool)
-        column, row = (_halved(plane, view) for plane in self._waters.caustics.grid_coordinates(x, y))
-        light = self._waters.light(column, row, _halved(self._waters.reach(hit.z), view), time_s) * self._vignette
+        # Light on the surfaces, and glare of the water, one value for each 2 x 2 pixels
+        caustic_column, caustic_row = (_halved(plane, view) for plane in self._waters.caustics.grid_coordinates(x, y))
+        reach = _halved(self._waters.reach(hit.z), view)
+        light = self._waters.light(caustic_column, caustic_row, reach, time_s) * self._vignette
         glare = np.rint(_halved(scene.glare(slopes), view)).astype(np.uint8)
+        # The surfaces' colours: of the still pool, where each pixel's line of sight meets it
         half_x, half_y = self._reach.astype(np.float32)
         texel = np.float32(self._texel_m)
         column, row = (x + half_x) / texel - np.float32(0.5), (y + half_y) / texel - np.float32(0.5)
-        shifts = [np.gradient(plane, BLOCK) for plane in (column, row)]  # down and right, per pixel
+
+        column_slopes, row_slopes = np.gradient(column, BLOCK), np.gradient(row, BLOCK)  # down and right, per pixel
+
+        def at_pixel(plane: Float, slopes: Sequence[Float], down: int, right: int) -> Float:
+            """Values at one of the four pixels of each square."""
+            by_down, by_right = slopes
+            return _halved(plane + np.float32(down - 0.5) * by_down + np.float32(right - 0.5) * by_right, view)
+
         raw = np.empty((view.height, view.width), np.uint8)
-        for i, j, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
-            columns, rows = (
-                _halved(plane + np.float32(i - 0.5) * down + np.float32(j - 0.5) * right, view)
-                for plane, (down, right) in zip((column, row), shifts, strict=True)
-            )
+        for down, right, channel in BAYER:
+            columns = at_pixel(column, column_slopes, down, right)
+            rows = at_pixel(row, row_slopes, down, right)
             colour = cv2.remap(self._planes[channel], columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            spot = raw[i::2, j::2]  # of an odd picture's last square a part
-            spot[:] = cv2.add(cv2.multiply(colour, light, dtype=cv2.CV_8U), glare)[: spot.shape[0], : spot.shape[1]]
+            pixels = raw[down::2, right::2]  # of an odd picture's last square a part
+            lit = cv2.add(cv2.multiply(colour, light, dtype=cv2.CV_8U), glare)
+            pixels[:] = lit[: pixels.shape[0], : pixels.shape[1]]
         return scene, raw
 
     def _metres(self, count: int, axis: int) -> Float:
@@ -105,16 +116,21 @@ class MovingBackground:
 def _unfolded(plan_x: Float, plan_y: Float, pool: PoolConfig) -> SurfacePoints:
     """The surface at each place of the plan: the inverse of `plan_coordinates`. In the corners between two walls, which no
     line of sight meets, it is the wall that is farther out."""
-    half_x, half_y, depth = np.float32(pool.size_m[0] / 2.0), np.float32(pool.size_m[1] / 2.0), np.float32(pool.size_m[2])
-    out_x, out_y = np.abs(plan_x) - half_x, np.abs(plan_y) - half_y
+    length, width, depth_m = pool.size_m
+    half_x, half_y, depth = np.float32(length / 2.0), np.float32(width / 2.0), np.float32(depth_m)
+    out_x, out_y = np.abs(plan_x) - half_x, np.abs(plan_y) - half_y  # how far the plan lies beyond the floor's edges
     out = np.maximum(out_x, out_y)
-    deck = out > depth
-    x = np.where(out_x > 0, np.copysign(half_x + np.where(deck, np.maximum(out_x - depth, 0.0), 0.0), plan_x), plan_x)
-    y = np.where(out_y > 0, np.copysign(half_y + np.where(deck, np.maximum(out_y - depth, 0.0), 0.0), plan_y), plan_y)
-    z = np.where(deck, np.float32(0.0), depth - np.maximum(out, 0.0))
-    wall = (out > 0) & ~deck
-    x, y, z = (np.asarray(plane, dtype=np.float32) for plane in (x, y, z))
-    return SurfacePoints(x, y, z, wall & (out_x >= out_y), wall & (out_y > out_x), deck)
+    is_deck = out > depth  # beyond the walls, which are as wide in the plan as they are high
+    is_wall = (out > 0) & ~is_deck
+
+    def folded(plan: Float, half: np.float32, beyond: Float) -> Float:
+        """A coordinate of the surface: that of the plan over the floor, the wall's, or beyond the wall."""
+        behind_wall = np.where(is_deck, np.maximum(beyond - depth, 0.0), 0.0)
+        return np.asarray(np.where(beyond > 0, np.copysign(half + behind_wall, plan), plan), dtype=np.float32)
+
+    x, y = folded(plan_x, half_x, out_x), folded(plan_y, half_y, out_y)
+    z = np.asarray(np.where(is_deck, np.float32(0.0), depth - np.maximum(out, 0.0)), dtype=np.float32)
+    return SurfacePoints(x, y, z, is_wall & (out_x >= out_y), is_wall & (out_y > out_x), is_deck)
 
 
 def _halved(blocks: Float, view: CameraRays) -> Float:

@@ -14,6 +14,8 @@ from shoal.frames import Array
 from sim_bridge.camera.kernels import BLOCK, ImageRect, RayBundle
 from sim_bridge.camera.optics import GRAZING, Bytes, Float, Optics, camera_slopes
 
+BAYER = ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2))  # row and column of each pixel of a square, and its colour: R, G, G, B
+
 
 class CameraRays:
     """Lines of sight of a camera in its pose, at the middles of all blocks, and where it sees points of the pool.
@@ -68,7 +70,7 @@ def sample_mosaic(planes: Sequence[Bytes], column: Float, row: Float) -> Bytes:
     """Sample a picture, given as red, green and blue planes, at places (column, row) as an RGGB sensor does: a mosaic in
     their shape."""
     raw = np.empty(column.shape, np.uint8)
-    for i, j, plane in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+    for i, j, plane in BAYER:
         x, y = np.ascontiguousarray(column[i::2, j::2]), np.ascontiguousarray(row[i::2, j::2])
         raw[i::2, j::2] = cv2.remap(planes[plane], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return raw

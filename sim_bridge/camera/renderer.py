@@ -5,12 +5,14 @@ exposure.
 """
 
 from collections.abc import Collection, Sequence
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from shoal.config.experiment import Experiment
+from shoal.config.perception import Camera, Landmark
 from shoal.config.simulation import Drifter
 from shoal.errors import ConfigError
 from shoal.frames import Array
@@ -25,6 +27,7 @@ from sim_bridge.plant.currents_waves import SurfaceWave
 from sim_bridge.plant.random_streams import Stream, generator
 
 MARGIN_PX = 4.0  # px around a body's projection, for ripples and soft edges
+Raisable = TypeVar("Raisable", Camera, Landmark)  # what has a position
 STEEPEST = 0.5  # largest difference of a line's slopes in air and in water: 60 degrees off the vertical
 
 
@@ -161,13 +164,18 @@ def with_true_camera(experiment: Experiment) -> Experiment:
 def with_sunken_water(experiment: Experiment, drop_m: float) -> Experiment:
     """The experiment as it is seen when its water stands `drop_m` lower. The surface is z = 0 again, so camera, floor and
     marks are higher by that; robots sink with the water, as their pressure sensors tell."""
-    camera, pool = experiment.camera, experiment.pool
-    (x, y, z), (length, width, depth) = camera.position_m, pool.size_m
-    marks = {
-        key: tuple(m.model_copy(update={"position_m": (*m.position_m[:2], m.position_m[2] - drop_m)}) for m in held)
-        for key, held in (("landmarks", experiment.landmarks), ("check_marks", experiment.check_marks))
-    }
-    lower = {"camera": camera.model_copy(update={"position_m": (x, y, z - drop_m)})}
+
+    def raised(thing: Raisable) -> Raisable:
+        """The same, higher above the surface: z points down."""
+        x, y, z = thing.position_m
+        return thing.model_copy(update={"position_m": (x, y, z - drop_m)})
+
+    length, width, depth = experiment.pool.size_m
     return experiment.model_copy(
-        update={**marks, **lower, "pool": pool.model_copy(update={"size_m": (length, width, depth - drop_m)})}
+        update={
+            "landmarks": tuple(map(raised, experiment.landmarks)),
+            "check_marks": tuple(map(raised, experiment.check_marks)),
+            "camera": raised(experiment.camera),
+            "pool": experiment.pool.model_copy(update={"size_m": (length, width, depth - drop_m)}),
+        }
     )

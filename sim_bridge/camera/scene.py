@@ -74,26 +74,32 @@ def draw_still_pool(
     """
     length, width, depth = experiment.pool.size_m
     texel = 1.0 / experiment.camera.px_per_m
-    grid = TILE_M / texels_per_tile(texel)
+    texture_px_m = TILE_M / texels_per_tile(texel)
 
-    def look(texture: Bytes, along: Float, down: Float) -> Float:
-        x, y = (along / np.float32(grid) - np.float32(0.5), down / np.float32(grid) - np.float32(0.5))
+    def sample(texture: Bytes, along: Float, down: Float) -> Float:
+        """The colours of a texture at places in m."""
+        x = along / np.float32(texture_px_m) - np.float32(0.5)
+        y = down / np.float32(texture_px_m) - np.float32(0.5)
         return np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), dtype=np.float32)
 
+    # The floor, darker beside the walls, with its mark
     half_x, half_y = np.float32(length / 2.0), np.float32(width / 2.0)
-    image = look(tile_texture((length, width), texel, FLOOR, random), hit.x + half_x, hit.y + half_y)
-    near_wall = np.minimum(half_x - np.abs(hit.x), half_y - np.abs(hit.y))
-    image *= (1.0 - 0.25 * np.exp(-np.maximum(near_wall, 0.0) / np.float32(0.12)))[..., None]
+    image = sample(tile_texture((length, width), texel, FLOOR, random), hit.x + half_x, hit.y + half_y)
+    from_wall_m = np.maximum(np.minimum(half_x - np.abs(hit.x), half_y - np.abs(hit.y)), 0.0)
+    image *= (1.0 - 0.25 * np.exp(-from_wall_m / np.float32(0.12)))[..., None]
     _draw_mark(image, hit, texel)
+    # The walls, with a dark band at the waterline, darker above the floor
+    longest = max(length, width)
     for mask, along in ((hit.on_x_wall, hit.y + half_y), (hit.on_y_wall, hit.x + half_x)):
-        side = look(tile_texture((max(length, width), depth), texel, WALL, random), along, hit.z)
-        dark = look(tile_texture((max(length, width), BAND_M), texel, BAND, random), along, hit.z)
-        side = np.where((hit.z < BAND_M)[..., None], dark, side)
-        side *= (0.86 - 0.22 * np.exp((hit.z - np.float32(depth)) / np.float32(0.15)))[..., None]
-        image[mask] = side[mask]
-    path = hit.z * (1.0 + lean)
-    image *= np.exp(-path[..., None] * ABSORPTION_PER_M)
-    image += VEIL * (1.0 - np.exp(-SCATTERING_PER_M * path))[..., None]
+        tiles = sample(tile_texture((longest, depth), texel, WALL, random), along, hit.z)
+        band = sample(tile_texture((longest, BAND_M), texel, BAND, random), along, hit.z)
+        wall = np.where((hit.z < BAND_M)[..., None], band, tiles)
+        wall *= (0.86 - 0.22 * np.exp((hit.z - np.float32(depth)) / np.float32(0.15)))[..., None]
+        image[mask] = wall[mask]
+    # The water between them and the camera absorbs, and scatters light into the picture
+    way_m = hit.z * (1.0 + lean)
+    image *= np.exp(-way_m[..., None] * ABSORPTION_PER_M)
+    image += VEIL * (1.0 - np.exp(-SCATTERING_PER_M * way_m))[..., None]
     image[hit.on_deck] = _deck(hit, half_x, half_y, random)
     image = np.asarray(cv2.GaussianBlur(image, (0, 0), softness), dtype=np.float32)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)

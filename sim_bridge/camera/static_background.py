@@ -74,10 +74,12 @@ class StaticBackground:
         """The pool through the ripples' loop: a mosaic (height, width), and the glare over each of its Bayer squares."""
         if not self._are_drawn[0][number]:
             view = self._view
-            (xx, xy), (yx, yy) = self._pulls
+            (xx, xy), (yx, yy) = self._pulls  # of the water's slopes on the places that are seen, px
             slopes = self._scene.slopes(number * PHASE_S)
-            map_x = self._pixels[0] + view.spread(xx * slopes[0] + xy * slopes[1])
-            map_y = self._pixels[1] + view.spread(yx * slopes[0] + yy * slopes[1])
+            slope_x, slope_y = slopes
+            pixel_x, pixel_y = self._pixels
+            map_x = pixel_x + view.spread(xx * slope_x + xy * slope_y)
+            map_y = pixel_y + view.spread(yx * slope_x + yy * slope_y)
             raw = sample_mosaic(self._planes, map_x, map_y).astype(np.float32) * self._vignette
             glare = view.spread(self._scene.glare(slopes))[0::2, 0::2]
             self._views[number], self._glares[number] = (np.clip(np.rint(plane), 0, 255) for plane in (raw, glare))

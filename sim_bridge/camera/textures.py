@@ -22,6 +22,7 @@ HULL_PX = 320  # the whole sphere in one disc, see `shell`
 LENS_SOFTNESS_PX = 0.5  # standard deviation of the lens's blur
 CELL_PX = 16  # texels per marker cell
 QUIET_CELLS = 1  # white cells around the marker, which ArUco needs to find its border
+EDGE = 0.016  # radii of the hull over which paint fades
 MARGIN_PX = 8  # transparent texels around the plate, for a smooth edge
 WHITE, BLACK = 232.0, 24.0
 
@@ -75,19 +76,20 @@ def hull_texture(number: int | None, marked: bool, softness_px: float, random: n
     image = paintwork * np.ones((HULL_PX, HULL_PX, 1))
 
     def paint(distance: Plane, colour: Plane, opacity: float = 1.0) -> None:
-        cover = opacity * np.clip(0.5 - distance / 0.016, 0.0, 1.0)[..., None]
+        """Paint where `distance` is negative: that to a shape's edge, in radii, over EDGE of which the colour fades."""
+        cover = opacity * np.clip(0.5 - distance / EDGE, 0.0, 1.0)[..., None]
         image[:] = image * (1.0 - cover) + colour * cover
 
-    paint(up - 0.02, GREY)
+    paint(up - 0.02, GREY)  # the lower half
     paint(np.abs(up - 0.07) - 0.19, DARK)  # the mid-plate between the hemispheres, with its flange
     paint(np.abs(x + 0.06) - 0.010, DARK, 0.7)  # seam between water store and sealed compartment
     for angle in (0.72, 2.42, 3.86, 5.56):  # flooding holes of the water store, and the legs' brackets below them
         paint(_ball(x, y, up, angle, 0.62) - 0.075, DARK)
         paint(np.maximum(np.abs(_turned(x, y, angle)) - 0.085, np.abs(up - 0.25) - 0.17), DARK, 0.8)
-    paint(_ball(x, y, up, 0.0, 0.58) - 0.23, PALE)
+    paint(_ball(x, y, up, 0.0, 0.58) - 0.23, PALE)  # the window's frame
     paint(_ball(x, y, up, 0.0, 0.58) - 0.18, GLASS)
-    paint(np.maximum(np.abs(y) - 0.22, np.abs(x + 0.76) - 0.13), DARK, 0.75)
-    paint(_ball(x, y, up, -np.pi / 2, 0.62) - 0.12, RED)
+    paint(np.maximum(np.abs(y) - 0.22, np.abs(x + 0.76) - 0.13), DARK, 0.75)  # the hatch
+    paint(_ball(x, y, up, -np.pi / 2, 0.62) - 0.12, RED)  # to port
     paint(_ball(x, y, up, np.pi / 2, 0.62) - 0.12, GREEN)
     if not marked:
         paint(np.maximum(np.abs(y) - 0.06, np.abs(x - 0.22) - 0.30), DARK)  # a stripe from the crown ahead

@@ -14,6 +14,7 @@ import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
+from shoal.frames import Array
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Table
 from sim_bridge.plant.currents_waves import GRAVITY_MPS2, WaterMotion
@@ -42,8 +43,14 @@ def hull_of(experiment: Experiment) -> BodyConstants:
     """The hull of an experiment. Raises ConfigError for one that cannot be."""
     plant, vehicle, tilt = experiment.sim.plant, experiment.vehicle, experiment.sim.plant.tilt
     tilts = plant.sway and tilt.enabled
+
+    def with_tilt(per_axis: Array, of_tilt: float) -> Array:
+        """Numbers of surge, sway, heave and yaw with those of roll and pitch between them, (6,)."""
+        surge, sway, heave, yaw = per_axis
+        return np.array([surge, sway, heave, of_tilt, of_tilt, yaw])
+
     first_moment = tilt.righting_nm / GRAVITY_MPS2 if tilts else 0.0
-    inertia = np.diag(np.insert(vehicle.inertia, 3, [tilt.inertia_kg_m2] * 2))
+    inertia = np.diag(with_tilt(vehicle.inertia, tilt.inertia_kg_m2))
     inertia[0, 4] = inertia[4, 0] = first_moment
     inertia[1, 3] = inertia[3, 1] = -first_moment
     inertia *= 1.0 + plant.mass_error
@@ -53,20 +60,21 @@ def hull_of(experiment: Experiment) -> BodyConstants:
             f"sim.plant.tilt.righting_nm = {tilt.righting_nm:g}: more than a body of this inertia can have "
             f"(allowed: up to {GRAVITY_MPS2 * np.sqrt(min(surge, sway) * tilt.inertia_kg_m2):.3g})"
         )
+    moves = np.array([True, plant.sway, True, tilts, tilts, True])
     drag = 1.0 + plant.drag_error
     surge_n, heave_n, yaw_nm = plant.disturbance_wrench  # (ambiguity A13)
     return BodyConstants(
-        plant.sway,
-        inertia,
-        np.linalg.inv(inertia) * np.array([[True, plant.sway, True, tilts, tilts, True]]).T,
-        six_axes(np.insert(vehicle.drag_linear, 3, [tilt.drag_linear] * 2) * drag),
-        six_axes(np.insert(vehicle.drag_quadratic, 3, [tilt.drag_quadratic] * 2) * drag),
-        tilt.righting_nm,
-        plant.buoyancy_n,
-        vehicle.radius_m,
-        experiment.pool.walls,  # without walls there is no surface either
-        SixVector(Vector(surge_n, 0.0, heave_n), Vector(0.0, 0.0, yaw_nm)),
-        np.broadcast_to(2.0 * np.pi * np.array(plant.disturbance_hz), len(experiment.robots)).copy(),
+        sway=plant.sway,
+        inertia=inertia,
+        inverse=np.linalg.inv(inertia) * moves[:, None],
+        drag_linear=six_axes(with_tilt(vehicle.drag_linear, tilt.drag_linear) * drag),
+        drag_quadratic=six_axes(with_tilt(vehicle.drag_quadratic, tilt.drag_quadratic) * drag),
+        righting_nm=tilt.righting_nm,
+        buoyancy_n=plant.buoyancy_n,
+        radius_m=vehicle.radius_m,
+        has_surface=experiment.pool.walls,  # without walls there is no surface either
+        disturbance=SixVector(Vector(surge_n, 0.0, heave_n), Vector(0.0, 0.0, yaw_nm)),
+        disturbance_radps=np.broadcast_to(2.0 * np.pi * np.array(plant.disturbance_hz), len(experiment.robots)).copy(),
     )
 
 

@@ -67,27 +67,38 @@ class BoardSensors:
         `tilt` is roll, pitch, and d/dt of them, which turn the sensors with the body. The rate about the body's third axis is
         cos(roll) cos(pitch) d yaw/dt - sin(roll) d pitch/dt (Fossen 2021, eq. 2.31). The board levels its heading.
         """
-        sensors = self._sensors
-        noise: list[float] = self._random.standard_normal(6).tolist()
-        (x, y, z, yaw), (u, v, _, r), (du, dv, dw, _) = eta.tolist(), nu.tolist(), acceleration.tolist()
+        sensors, faults = self._sensors, self.faults
+        heading_noise, gyro_noise, pressure_noise, *force_noise = self._random.standard_normal(6).tolist()
+        x, y, z, yaw = eta.tolist()
+        u, v, _, r = nu.tolist()
+        u_dot, v_dot, w_dot, _ = acceleration.tolist()
         roll, pitch, pitch_rate = float(tilt[0]), float(tilt[1]), float(tilt[3])
         cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-        ahead, side, down = du - r * v, dv + r * u, dw - GRAVITY_MPS2
-        bow = sp * ahead + cp * down
-        faults, (about_y, about_z) = self.faults, (sr * cp * r + cr * pitch_rate, cr * cp * r - sr * pitch_rate)
-        force = (cp * ahead - sp * down, cr * side + sr * bow, cr * bow - sr * side)
-        if faults.turned_rad:
+
+        # Rates about the body's axes, and the specific force: on level axes, pitched, then rolled
+        about_y, about_z = sr * cp * r + cr * pitch_rate, cr * cp * r - sr * pitch_rate
+        level_x, level_y, level_z = u_dot - r * v, v_dot + r * u, w_dot - GRAVITY_MPS2
+        pitched_z = sp * level_x + cp * level_z
+        force_x = cp * level_x - sp * level_z
+        force_y, force_z = cr * level_y + sr * pitched_z, cr * pitched_z - sr * level_y
+
+        if faults.turned_rad:  # the sensor is mounted askew, about the body's first axis
             ct, st = math.cos(faults.turned_rad), math.sin(faults.turned_rad)
             about_z = ct * about_z - st * about_y
-            force = force[0], ct * force[1] + st * force[2], ct * force[2] - st * force[1]
-        fx, fy, fz = [f + ACCELEROMETER_NOISE_MPS2 * n for f, n in zip(force, noise[3:], strict=True)]
+            force_y, force_z = ct * force_y + st * force_z, ct * force_z - st * force_y
+        fx, fy, fz = (
+            force + ACCELEROMETER_NOISE_MPS2 * noise
+            for force, noise in zip((force_x, force_y, force_z), force_noise, strict=True)
+        )
         rate_radps = faults.rate_share * about_z + faults.rate_radps + self.gyro_bias_radps
         if not faults.is_stuck:
-            self._imu = rate_radps + sensors.gyro_noise_radps * noise[1], (fx, fy, fz)
+            self._imu = rate_radps + sensors.gyro_noise_radps * gyro_noise, (fx, fy, fz)
+        heading_rad = yaw + faults.heading_rad + self.heading_bias_rad + sensors.heading_noise_rad * heading_noise
+        pressure_m = z + self._wave.pressure_m(x, y, z, time_s)
         return Reading(
-            wrap(yaw + faults.heading_rad + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
+            wrap(heading_rad),
             *self._imu,
-            z + self._wave.pressure_m(x, y, z, time_s) + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
+            pressure_m + self.depth_bias_m + sensors.pressure_noise_m * pressure_noise,
             self._sense_tilt(np.asarray(tilt, dtype=np.float64)),
         )
 

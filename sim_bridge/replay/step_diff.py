@@ -185,11 +185,16 @@ def _same(one: Any, other: Any) -> bool:
 def _difference(name: str, old: Sequence[Any], new: Sequence[Any], differs: Array, time_s: Array) -> Difference:
     """The difference of one value between two runs: where it begins, its largest and its RMS."""
     steps, first_s = int(differs.sum()), float(time_s[np.flatnonzero(differs)[0]])
-    pairs = [(_row(a), _row(b)) for a, b in zip(old, new, strict=True)]
-    both = [(a, b) for a, b in pairs if a is not None and b is not None]  # a part of a state is not there at every step
-    if not both or any(row.shape != both[0][0].shape for pair in both for row in pair):
+    old_rows, new_rows = list[Array](), list[Array]()
+    for old_value, new_value in zip(old, new, strict=True):
+        old_row, new_row = _row(old_value), _row(new_value)
+        if old_row is not None and new_row is not None:  # a part of a state is not there at every step
+            old_rows.append(old_row)
+            new_rows.append(new_row)
+    shapes = {row.shape for row in (*old_rows, *new_rows)}
+    if len(shapes) != 1:
         return Difference(name, steps, first_s, None, None)
-    apart = np.array([b - a for a, b in both])
+    apart = np.array(new_rows) - np.array(old_rows)
     if name in ANGLES:
         apart[:, ANGLES[name]] = wrap_angle(apart[:, ANGLES[name]])
     rms = float(np.sqrt((apart**2).mean(axis=0)).max())

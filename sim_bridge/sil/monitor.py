@@ -4,7 +4,7 @@ import math
 import textwrap
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from rich.console import Console, Group, RenderableType
@@ -143,15 +143,15 @@ class Monitor:
 
     def line(self) -> str:
         """The same in one line, for a log; for a large fleet counts of modes, and the worst robot."""
-        newest = {robot: inbox.newest() for robot, inbox in self._states.items()}
-        silent = [robot for robot, received in newest.items() if received is not None and self._silent(received)]
-        states = {r: received.message for r, received in newest.items() if received is not None and r not in silent}
-        if len(newest) > FEW:
-            robots = [f"{n} {mode.name.lower()}" for mode, n in sorted(Counter(s.mode for s in states.values()).items())]
-            errors = {robot: error for robot, state in states.items() if (error := _error_mm(state)) is not None}
-            worst = max(errors, key=lambda robot: errors[robot], default=None)
-            robots += [f"worst {worst}: {errors[worst]:.0f} mm"] if worst is not None else []
-            robots += [f"{robot}{remark}" for robot, state in states.items() if (remark := _remark(state))]
+        silent, states = list[int](), dict[int, RobotState]()
+        for robot, inbox in self._states.items():
+            received = inbox.newest()
+            if received is not None and self._silent(received):
+                silent.append(robot)
+            elif received is not None:
+                states[robot] = received.message
+        if len(self._states) > FEW:
+            robots = _summary(states)
         else:
             robots = [f"{r} {s.mode.name.lower()} {_error(s)}{_remark(s)}" for r, s in states.items()]
         robots += [f"{robot} silent" for robot in silent]
@@ -175,6 +175,17 @@ def _error_mm(state: RobotState) -> float | None:
     if state.mode is not Mode.TRACKING or estimate is None or control is None:
         return None
     return math.hypot(*(estimate.eta - control.eta_reference)[:2]) * 1e3
+
+
+def _summary(states: Mapping[int, RobotState]) -> list[str]:
+    """A large fleet in words: how many robots are in each mode, the largest error, and remarks."""
+    modes = Counter(state.mode for state in states.values())
+    words = [f"{count} {mode.name.lower()}" for mode, count in sorted(modes.items())]
+    errors = {robot: error for robot, state in states.items() if (error := _error_mm(state)) is not None}
+    if errors:
+        worst = max(errors, key=lambda robot: errors[robot])
+        words.append(f"worst {worst}: {errors[worst]:.0f} mm")
+    return words + [f"{robot}{remark}" for robot, state in states.items() if (remark := _remark(state))]
 
 
 def _error(state: RobotState) -> str:

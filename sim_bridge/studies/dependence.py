@@ -67,11 +67,15 @@ def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Seq
         flights = [row for row in flown if str(row[key]) == value]
         sound = [row for row in flights if not row.get("at_fault")]
         pairs = [(row, firsts[pair_of(row)]) for row in sound if pair_of(row) in firsts and value != values[0]]
-        points = {m: [unit_of(m)[1] * row[m] for row in sound if row.get(m) is not None] for m in measures}
-        differences = {
-            m: [unit_of(m)[1] * (row[m] - first[m]) for row, first in pairs if None not in (row.get(m), first.get(m))]
-            for m in measures
-        }
+        points, differences = dict[str, list[float]](), dict[str, list[float]]()
+        for measure in measures:
+            _, factor = unit_of(measure)
+            points[measure] = [factor * row[measure] for row in sound if row.get(measure) is not None]
+            differences[measure] = [
+                factor * (row[measure] - first[measure])
+                for row, first in pairs
+                if row.get(measure) is not None and first.get(measure) is not None
+            ]
         lines.append(
             KeyValue(
                 value,
@@ -79,11 +83,16 @@ def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Seq
                 within=rate(sum(bool(row["passed"]) for row in flights), len(flights)),
                 faults=len(flights) - len(sound),
                 points=points,
-                means={m: mean(numbers) if numbers else None for m, numbers in points.items()},
-                against_first={m: mean(numbers) if numbers else None for m, numbers in differences.items()},
+                means=_means(points),
+                against_first=_means(differences),
             )
         )
     return lines
+
+
+def _means(numbers_by_measure: Mapping[str, list[float]]) -> dict[str, Interval | None]:
+    """Mean of each measure's numbers; None where there are none."""
+    return {measure: mean(numbers) if numbers else None for measure, numbers in numbers_by_measure.items()}
 
 
 def dependences(campaign: Campaign, rows: Sequence[Row]) -> dict[str, list[KeyValue]]:

@@ -63,23 +63,24 @@ class Feedback:
         state = tuple(np.asarray(state).tolist())
         if not np.abs(reference).max() < ABSURD:
             return self._give_up(state)
-        unknown = disturbance.tolist()
-        goal, speed, change = (rows.tolist() for rows in _derivatives(reference, self._period_s, current))
-        now = tracking_errors(self._model, state, unknown, goal[0], speed[0], change[0])
-        wanted = self._law.wrench(now)
+        gamma = disturbance.tolist()
+        poses, velocities, accelerations = (rows.tolist() for rows in _derivatives(reference, self._period_s, current))
+        errors = tracking_errors(self._model, state, gamma, poses[0], velocities[0], accelerations[0])
+        wanted = self._law.wrench(errors)
         if not math.isfinite(sum(wanted)):
             return self._give_up(state)
         applied = self._limited(wanted, wrench.tolist())
-        short = (wanted[0] - applied[0], wanted[1] - applied[1], wanted[2] - applied[2])
-        eta, thrust = [state[:4]], applied
-        for k in range(1, len(goal)):
-            x, y, *rest = self._model.advance(state, unknown, thrust, self._period_s)
+        # The plan: the law flown along the horizon by the model, which moves with the water
+        planned_poses, planned_wrench = [state[:4]], applied
+        for k in range(1, len(poses)):
+            x, y, *rest = self._model.advance(state, gamma, planned_wrench, self._period_s)
             state = (x + self._period_s * current.real, y + self._period_s * current.imag, *rest)
-            eta.append(state[:4])
-            there = tracking_errors(self._model, state, unknown, goal[k], speed[k], change[k])
-            thrust = self._limited(self._law.wrench(there), thrust)
-        self._law.learn(now, short, self._period_s)
-        return MpcPlan(np.array(applied), np.array(eta), Solve.SOLVED, 0, 0.0, np.array(wanted))
+            planned_poses.append(state[:4])
+            later_errors = tracking_errors(self._model, state, gamma, poses[k], velocities[k], accelerations[k])
+            planned_wrench = self._limited(self._law.wrench(later_errors), planned_wrench)
+        shortfall = (wanted[0] - applied[0], wanted[1] - applied[1], wanted[2] - applied[2])
+        self._law.learn(errors, shortfall, self._period_s)
+        return MpcPlan(np.array(applied), np.array(planned_poses), Solve.SOLVED, 0, 0.0, np.array(wanted))
 
     def _give_up(self, state: State) -> MpcPlan:
         """Return no wrench and FAILED, and clear the memory that led to it."""

@@ -30,10 +30,14 @@ class Lqr:
     def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
         model_wrench = self._axes.wrench(now, NOTHING)
-        surge, heave, yaw = (
-            base - k[0] * e - k[1] * rate - (k[2] * (thrust - base) if self._lag else 0.0)
-            for k, base, e, rate, thrust in zip(self._gains, model_wrench, now.error, now.speed_error, now.thrust, strict=True)
-        )
+        wrench = []
+        for axis, (by_error, by_rate, *by_thrust) in enumerate(self._gains):
+            base = model_wrench[axis]
+            command = base - by_error * now.error[axis] - by_rate * now.speed_error[axis]
+            if self._lag:
+                command -= by_thrust[0] * (now.thrust[axis] - base)
+            wrench.append(command)
+        surge, heave, yaw = wrench
         return surge, heave, yaw
 
     def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:

@@ -44,18 +44,21 @@ def tracking_errors(
 ) -> TrackingErrors:
     """Compute the errors. `goal`, `speed` and `change` (4,) are the reference's pose, velocity and acceleration; Gamma (4,) is
     the estimator's."""
-    x, y, z, yaw, u, v, w, r, *thrust = state
+    x, y, z, yaw, u, v, w, r, surge_n, heave_n, yaw_nm, *_ = state
+    goal_x, goal_y, goal_z, goal_yaw = goal
+    x_mps, y_mps, z_mps, yaw_radps = speed
+    x_mps2, y_mps2, z_mps2, yaw_radps2 = change
     c, s = math.cos(yaw), math.sin(yaw)
-    away_x, away_y = goal[0] - x, goal[1] - y
-    along, across = c * speed[0] + s * speed[1], c * speed[1] - s * speed[0]
+    away_x, away_y = goal_x - x, goal_y - y
+    along_mps, across_mps = c * x_mps + s * y_mps, c * y_mps - s * x_mps  # the reference's velocity on the robot's axes
     return TrackingErrors(
-        error=(c * away_x + s * away_y, goal[2] - z, wrap(goal[3] - yaw)),
-        speed_error=(along - u, speed[2] - w, speed[3] - r),
+        error=(c * away_x + s * away_y, goal_z - z, wrap(goal_yaw - yaw)),
+        speed_error=(along_mps - u, z_mps - w, yaw_radps - r),
         swing_mps=r * (c * away_y - s * away_x),
         velocity=(u, w, r),
-        acceleration=(c * change[0] + s * change[1] + r * across, change[2], change[3]),
+        acceleration=(c * x_mps2 + s * y_mps2 + r * across_mps, z_mps2, yaw_radps2),
         load=_load(model, (u, v, w, r), disturbance),
-        thrust=(thrust[0], thrust[1], thrust[2]),
+        thrust=(surge_n, heave_n, yaw_nm),
     )
 
 

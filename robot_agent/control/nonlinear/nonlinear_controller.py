@@ -204,23 +204,25 @@ class NonlinearController(Controller):
         return tunings.planar_weights(self._vehicle, self._tuning, self._config.nmpc.arm_m, manner, self._config.mpc.slack)
 
     def _improve(self, goal: Goal, led: Reference, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Iteration:
-        """One step of the planner."""
-        gains, is_resting, is_steered = self._config.nmpc, isinstance(goal, Hold), isinstance(goal, Drive)
+        """One step of the planner towards a goal: headings of the reference, weights for the goal, one program solved."""
+        assert self._tuning is not None
+        gains = self._config.nmpc
+        is_resting, is_steered, has_sway = isinstance(goal, Hold), isinstance(goal, Drive), tunings.SWAY in self._axes
+        keeps_heading = is_steered or has_sway  # the reference's: no bow has to point where it goes
+
         near_rad = self._turns.near_rad(start.state.item(2))
-        keeps_heading = is_steered or tunings.SWAY in self._axes  # the reference's: no bow has to point where it goes
         heading_m = gains.arm_m if keeps_heading else gains.heading_m
-        set_course(
-            led.eta, led.velocity, dynamics.water, HeadingRule(near_rad, heading_m**2, keeps_heading, is_resting), self._course
-        )
+        rule = HeadingRule(near_rad, heading_m**2, keeps_heading, is_resting)
+        set_course(led.eta, led.velocity, dynamics.water, rule, self._course)
         self._turns.note(self._course, near_rad)
+
         turning_m = gains.hold_turning_m if is_resting else gains.turning_m
         facing_s = 0.0 if is_resting or keeps_heading else tunings.FACING_S
-        asks_no_line = is_steered and tunings.SWAY not in self._axes
+        asks_no_line = is_steered and not has_sway
         weights = self._weights(tunings.Manner(turning_m, facing_s, asks_no_line))
         problem = PlanProblem(start, self._course, weights, self._limits, surrounds)
-        calm = is_resting and self._off_m < self._calm_m
-        assert self._tuning is not None
-        return self._planner.step(dynamics, problem, self._tuning, math.inf if calm else TOLERANCE_M)
+        is_calm = is_resting and self._off_m < self._calm_m
+        return self._planner.step(dynamics, problem, self._tuning, math.inf if is_calm else TOLERANCE_M)
 
     def _dive(self, estimate: Observation, led: Reference) -> Iteration:
         """One step of the plan of depth."""

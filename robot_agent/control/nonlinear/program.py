@@ -111,16 +111,26 @@ class Iteration(NamedTuple):
 
 
 def make_memory(axes: int) -> Memory:
-    """Memory for so many axes."""
-    size, rows = NODES * axes, 2 * NODES * axes + MOST_ROWS
-    matrix = np.zeros((rows, size + 1))
-    matrix[:size, :size] = np.eye(size)
-    matrix[size : 2 * size, :size] = np.eye(size) - np.eye(size, k=-axes)
+    """Memory for a vehicle with so many axes. The program's variables are changes of the commands and, last, the slack."""
+    commands = NODES * axes
+    variables, rows = commands + 1, 2 * commands + MOST_ROWS
+    matrix = np.zeros((rows, variables))
+    matrix[:commands, :commands] = np.eye(commands)
+    matrix[commands : 2 * commands, :commands] = np.eye(commands) - np.eye(commands, k=-axes)
     program = QuadraticProgram(
-        np.zeros((size + 1, size + 1)), np.zeros(size + 1), matrix, np.zeros(rows), np.zeros(rows), np.zeros(rows, np.int64),
-        np.zeros((4, size + 1, size + 1)), np.zeros(size + 1), np.zeros(size + 1), np.zeros(rows), np.zeros(size),
-        np.zeros((NODES, axes)),
-    )  # fmt: skip
+        hessian=np.zeros((variables, variables)),
+        gradient=np.zeros(variables),
+        matrix=matrix,
+        lower=np.zeros(rows),
+        upper=np.zeros(rows),
+        held=np.zeros(rows, np.int64),
+        work=np.zeros((4, variables, variables)),
+        multiplier=np.zeros(variables),
+        change=np.zeros(variables),
+        dual=np.zeros(rows),
+        row=np.zeros(commands),
+        old=np.zeros((NODES, axes)),
+    )
     return Memory(make_flight(axes), program, make_half_planes())
 
 
