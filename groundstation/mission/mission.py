@@ -64,7 +64,7 @@ TEST_PATIENCE_S = 12.0  # for the thruster test of all robots
 SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going on
 AT_REST_MPS = 0.03  # slower than this counts as at rest
 REST_WITHIN_S = 8.0  # then a hold is done, and planning begins, all the same: robots in waves never quite rest
-ON_PATH_M = 0.05  # of its path: a robot that rests farther beside it is led back by a plan, as after a REJOIN
+ON_PATH_M = 0.04  # of its path: a robot farther beside it is led back by a plan. Setting out, it comes a centimetre farther
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
 ATTENDED = "a person attends, and has to start it"  # an automatic mission, once somebody has taken a hand in it
@@ -689,28 +689,29 @@ class Mission:
         off_plan = [
             f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
         ]
-        away_m, robot = self._go_on_from_rest(fleet, now_ns)
-        if away_m > ON_PATH_M:
-            off_plan = off_plan or [f"robot {robot} is {away_m:.2f} m from its place"]
+        blocked = not off_plan and self._may_replan and self.plans.first_contact(fleet)
+        if not off_plan and not blocked:
+            away_m, robot = self._go_on_from_rest(fleet, now_ns)
+            off_plan = [f"robot {robot} is {away_m:.2f} m from its place"] if away_m > ON_PATH_M else []
         if off_plan:
             self.plans.target_current()
             self._go(MissionEvent.OFF_PLAN, now_ns)
             self.reason = "; ".join(off_plan)
-        elif self._may_replan and self.plans.first_contact(fleet):
+        elif blocked:
             self.plans.target_current()
             self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
 
     def _go_on_from_rest(self, fleet: Fleet, now_ns: int) -> tuple[float, int]:
         """Set progress and timetable of RESUMING: robots go on where their trajectories come nearest to where they rest,
         beyond the progress, and when all have had the time to turn there: in HOLD the heading is free. Returns the largest
-        distance in m of a robot from there, and the robot."""
+        distance in m from there of a robot, as it is and as it will rest, and the robot."""
         plans, vehicle, period_s = self.plans, self._experiment.vehicle, self._experiment.controller.period_s
         left_s = min(self.segment.end_s - plans.progress_s, REST_WITHIN_S)  # by then they had come to rest
         ahead_s = plans.progress_s + period_s * np.arange(max(round(left_s / period_s), 1), dtype=np.float64)
         poses_ahead = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
         if not poses_ahead:
             return 0.0, 0
-        distances_m = np.array([np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in poses_ahead.items()])
+        distances_m = np.array([np.linalg.norm(eta[:, :3] - _rest_m(fleet[r]), axis=1) for r, eta in poses_ahead.items()])
         farthest_m = distances_m.max(axis=0)  # of any robot from its trajectory, at each instant
         still_falls = np.append(np.diff(farthest_m) < 0.0, False)
         nearest = int(np.argmin(still_falls))  # the first instant at which it falls no more
@@ -718,7 +719,9 @@ class Mission:
         starts_in_s = START_IN_S + max(turn_s(vehicle, turn_rad) for turn_rad in turns_rad)
         plans.progress_s = float(ahead_s[nearest])
         self._timetable = Timetable(now_ns + round(starts_in_s * 1e9), plans.progress_s + self.governor.lag_s)
-        return float(farthest_m[nearest]), list(poses_ahead)[int(distances_m[:, nearest].argmax())]
+        now_m = [np.linalg.norm(eta[nearest, :3] - fleet[r].eta[:3]) for r, eta in poses_ahead.items()]
+        away_m = np.maximum(distances_m[:, nearest], now_m)
+        return float(away_m.max()), list(poses_ahead)[int(away_m.argmax())]
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring all moving robots to rest, then request the plan."""
@@ -852,6 +855,12 @@ class Mission:
             self._dispatcher.tested.clear()
         self.state, self._data = state, _StateData(now_ns)
         self._dispatcher.reset()
+
+
+def _rest_m(view: RobotView) -> Array:
+    """Place (3,) at which a robot that holds rests, or comes to rest: told to go on at once, it still coasts there."""
+    control = view.state.control if view.state is not None and view.mode is Mode.HOLDING else None
+    return np.asarray(view.eta[:3] if control is None else control.eta_reference[:3])
 
 
 def may_move(view: RobotView) -> bool:

@@ -23,6 +23,7 @@ CLEAR_M = 0.05  # between hulls and islands or walls
 LIMIT_SHARE = 0.8  # of the vehicle's fastest speed and heave: the rest is for its controller
 SLOWER, SLOWEST_MPS = 0.7, 0.02  # factor on the speed, tried until all bends can be flown; the last one is taken as it is
 NEAR_M = 1e-3  # a shorter distance is no transfer
+RIM_M = 0.008  # nearer to what it rests beside than at its ends leads a way around it. A nearer one is a contact (BESIDE_M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +121,12 @@ def _can_be_flown(experiment: Experiment, transfer: Transfer, start_rad: float) 
 
 
 def _no_wider_than_free(discs: Array, *ends: Array) -> Array:
-    """Discs shrunk until the ends are free: a robot that rests near an obstacle may leave, and may come to rest there."""
+    """Discs shrunk until the ends are free, with room for a bend: a robot that rests near an obstacle may leave, and may come
+    to rest there."""
     if len(discs) == 0:
         return discs
     room = np.min([np.hypot(*(discs[:, :2] - end).T) for end in ends], axis=0)
-    return np.column_stack([discs[:, :2], np.minimum(discs[:, 2], room * (1.0 - 1e-9))])
+    return np.column_stack([discs[:, :2], np.minimum(discs[:, 2], np.maximum(room - RIM_M, 0.0))])
 
 
 def ramp(time_s: Array) -> tuple[Array, Array, Array]:

@@ -42,6 +42,7 @@ class ObedientRobot:
     test: str = ""
     tuning_id: str = ""
     eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    holds_at: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     surge_mps: float = 0.0
     age_s: float = 0.02
     fault: str = ""
@@ -87,6 +88,7 @@ class ObedientRobot:
 
     def view(self) -> RobotView:
         pose = Pose(0, 0, 0, np.eye(3), Track.MARKER, self.verified)
+        control = Control(eta_reference=np.array(self.holds_at)) if self.mode is Mode.HOLDING else Control()
         state = reported_state(
             self.experiment,
             self.mode,
@@ -99,7 +101,7 @@ class ObedientRobot:
             thruster_test=self.test,
             tuning_id=self.tuning_id,
             blind=self.blind,
-            control=Control() if self.mode in LIVE else None,
+            control=control if self.mode in LIVE else None,
         )
         if self.unknown:
             return RobotView()

@@ -203,7 +203,7 @@ def paused_beyond(settings: Sequence[str] = (), beyond_m: float = 0.06) -> Missi
     assert run.mission.request(CommandKind.HOLD, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     for robot in run.robots.values():
-        robot.eta = (0.1 * robot.trajectory_s + beyond_m, 0.02, 0.0, 2.0)
+        robot.eta = robot.holds_at = (0.1 * robot.trajectory_s + beyond_m, 0.02, 0.0, 2.0)
     return run
 
 
@@ -211,7 +211,7 @@ def test_a_formation_goes_on_from_where_it_came_to_rest() -> None:
     """A robot that stops comes to rest beyond the point of its path at which it was told to."""
     run = paused_beyond()
     stopped_s = run.robots[1].trajectory_s
-    run.robots[2].eta = (0.1 * stopped_s + 0.03, 0.02, 0.0, 2.0)
+    run.robots[2].eta = run.robots[2].holds_at = (0.1 * stopped_s + 0.03, 0.02, 0.0, 2.0)
     assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     goes_on = {robot.got[-1].trajectory_s - stopped_s for robot in run.robots.values()}
@@ -1248,6 +1248,17 @@ def test_a_robot_that_rests_beside_its_path_is_led_back_before_resume(away_m: fl
     assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
     assert run.at(MissionState.HALTING) and run.mission.reason == f"robot 2 is {away_m:.2f} m from its place"
     assert all(CommandKind.RESUME not in [c.order for c in robot.got] for robot in run.robots.values())
+
+
+def test_robots_that_still_move_go_on_from_where_they_come_to_rest() -> None:
+    """Not from where they are when they are told to: they coast beyond it before their paths begin to move."""
+    run = paused_beyond(beyond_m=0.04)
+    for robot in run.robots.values():
+        robot.holds_at = (0.1 * robot.trajectory_s + 0.06, 0.02, 0.0, 2.0)
+    stopped_s = run.robots[1].trajectory_s
+    assert run.mission.request(CommandKind.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert run.robots[1].got[-1].trajectory_s - stopped_s == pytest.approx(0.6, abs=0.06)
 
 
 # --- after an emergency stop

@@ -12,7 +12,7 @@ from groundstation.planning.formation import NodeMotion
 from groundstation.planning.planner import start_poses
 from groundstation.planning.prioritized_planning import plan_transfers
 from groundstation.planning.rest_to_rest import plan_regroup
-from groundstation.planning.segment import first_segment
+from groundstation.planning.segment import BESIDE_M, first_segment
 from groundstation.planning.transfer import FreeSpace, Transfer, plan_transfer, s_curve_profile
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.config.scene import Island
@@ -104,6 +104,17 @@ def test_a_thing_in_the_way_is_gone_round() -> None:
     motions = plan_transfers(experiment, starts, goals, np.array([[0.0, 0.1, 0.5]]))
     check(experiment, motions, starts, goals)
     assert np.hypot(*(motions[1].eta[:, :2] - [0.0, 0.1]).T).min() >= 0.5 - 1e-6
+
+
+@pytest.mark.parametrize("turn_rad", [0.6, -1.0, 1.5, 2.4])
+@pytest.mark.parametrize("rests_m", [0.9, 1.18, 1.25])
+def test_a_robot_that_rests_nearer_to_a_thing_than_it_would_fly_finds_a_way_around(rests_m: float, turn_rad: float) -> None:
+    """A lost robot that drifted up to it, for example. It comes no nearer than it rests, but for a bend's last centimetre."""
+    experiment, goal = pool(), 1.27 * np.exp(1j * turn_rad)
+    starts, goals = {1: pose(rests_m, 0.0)}, {1: pose(goal.real, goal.imag)}
+    motions = plan_transfers(experiment, starts, goals, np.array([[0.0, 0.0, 1.25]]))
+    check(experiment, motions, starts, goals)
+    assert np.hypot(*motions[1].eta[:, :2].T).min() >= rests_m - BESIDE_M
 
 
 def test_a_robot_that_is_at_its_goal_already_stays() -> None:
