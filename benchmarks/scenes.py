@@ -140,9 +140,11 @@ def _number(value: float | None) -> float:
 def _tracks(log: Path) -> dict[str, PoseRow]:
     """Rows of the poses by kind of track; empty where no localizer took part."""
     try:
-        rows = evaluate_log(log)
+        rows, damage = evaluate_log(log)
     except ConfigError:
         return {}
+    if damage:
+        raise ConfigError(damage)
     return {row.subject: row for row in rows if row.subject in TRACKS}
 
 

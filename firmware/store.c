@@ -121,7 +121,8 @@ static struct writing begin_record(struct store *store, uint8_t *record, uint8_t
     store->slot[area] = (uint8_t)((store->slot[area] + 1) % AREA[area].slots);
     write16(record + COUNT_AT, ++store->count[area]);
     write16(record + bytes - 2, checksum(record, (uint16_t)(bytes - 2)));
-    return (struct writing){.what = what, .record = record, .address = address_of(area, store->slot[area]), .bytes = bytes};
+    return (struct writing){
+        .what = what, .area = area, .record = record, .address = address_of(area, store->slot[area]), .bytes = bytes};
 }
 
 static void begin_stamps(struct store *store, const struct board *board) {
@@ -163,8 +164,15 @@ static void begin(struct store *store, struct board *board) {
         begin_zeros(store, board);
 }
 
-/* Write the next byte that is another one than the memory has; false if there is none left. */
-static bool write_next(struct writing *writing) {
+static bool is_whole(const struct writing *writing) {
+    for (uint16_t at = 0; at < writing->bytes; at++)
+        if (hal_eeprom_read((uint16_t)(writing->address + at)) != writing->record[at])
+            return false;
+    return true;
+}
+
+/* Write the next byte that is another one than the memory has; false if there is none left, and all are kept. */
+static bool write_next(struct store *store, struct writing *writing, struct board *board) {
     while (writing->at < writing->bytes) {
         const uint16_t address = (uint16_t)(writing->address + writing->at);
         const uint8_t value = writing->record[writing->at++];
@@ -173,6 +181,14 @@ static bool write_next(struct writing *writing) {
             return true;
         }
     }
+    uint8_t *const worn = &store->worn[writing->area];
+    if (writing->what != KEEP_NOTHING && !is_whole(writing)) {
+        if (++*worn == AREA[writing->area].slots)
+            rules_say(&board->rules, SAY_CRITICAL, PSTR("memory is worn: it keeps nothing"));
+        *writing = begin_record(store, writing->record, writing->area, writing->what);
+        return true;
+    }
+    *worn = 0;
     writing->what = KEEP_NOTHING;
     return false;
 }
@@ -183,7 +199,7 @@ void store_continue(struct store *store, struct board *board) {
     if (store->stamps_writing.what == KEEP_NOTHING)
         begin(store, board);
     if (store->stamps_writing.what == KEEP_NOTHING)
-        write_next(&store->writing);
-    else if (!write_next(&store->stamps_writing))
+        write_next(store, &store->writing, board);
+    else if (!write_next(store, &store->stamps_writing, board))
         board_kept(board, KEEP_STAMPS, store->stamps);
 }

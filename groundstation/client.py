@@ -73,8 +73,15 @@ def _connected(
 
 
 def sender(bus: Bus) -> Callable[[Command], Reply]:
-    """Function that sends a request, also one for a single robot, to the station and waits for the reply."""
-    return lambda command: bus.command(command, time.time_ns(), ORDER_TIMEOUT_S, to=WHOLE_FLEET)
+    """Function that sends a request, also one for a single robot, to the station and waits for the reply. A station that is
+    held up for longer does not carry it out any more."""
+    return lambda command: bus.command(command, _clock_ns(), ORDER_TIMEOUT_S, to=WHOLE_FLEET)
+
+
+def _clock_ns() -> int:
+    """Time of a request, by a clock that goes on while this machine sleeps: by one that stands then, all that is asked for
+    afterwards would look as if it had been held up."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.time_ns()
 
 
 def go_command(places_m: ArrayLike, robot: int = WHOLE_FLEET) -> Command:

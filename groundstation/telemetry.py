@@ -18,6 +18,7 @@ from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Estimate, LocalizerStatus, Mode, Obstacles, Plan, Pose, RobotState, Solve, Track
 from shoal.runtime.runtime import Clock, age_s
+from shoal.runtime.version import are_known
 
 LOSSY = 0.2  # share of lost messages; above it echoes, battery voltages and poses are too old
 LATE_SHARE = 0.5  # of the control period: the budget of a step
@@ -104,8 +105,10 @@ Fleet = Mapping[int, RobotView]
 
 
 def other_code(other: str, own: str) -> str:
-    """Text about a program that runs other code than the station, `own`; empty if it runs the same. `other` is what its
+    """Text about a program that does not surely run the code of the station, `own`; empty if it does. `other` is what its
     messages say, "" of an earlier version."""
+    if not are_known(other, own):
+        return f"runs {other or 'an earlier version'}, the station {own}: nobody knows whether that is the same"
     return f"runs {other or 'an earlier version'}, the station {own}" if other != own else ""
 
 

@@ -170,7 +170,7 @@ def check(
         thrusters = False
 
     def ask(question: str) -> bool:
-        return typer.confirm(question, default=True, err=True)
+        return typer.confirm(question, default=None, err=True)  # a hand that only hits Enter has said nothing
 
     def turn(experiment: "Experiment") -> "Iterator[CheckFinding]":
         return turn_thrusters(experiment, board, None if yes else ask)

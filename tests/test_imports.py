@@ -34,9 +34,9 @@ SHARED_OTHERWISE = {
 PARTS: dict[str, dict[str, set[str]]] = {
     "shoal": {
         "frames": set(),
-        "kernels": set(),
         "errors": set(),
         "system": {"errors"},
+        "kernels": {"system"},
         "config": {"errors", "frames", "system"},
         "messages": {"config", "errors", "frames"},
         "bus": {"config", "errors", "messages", "system"},

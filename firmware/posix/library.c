@@ -17,6 +17,14 @@ static uint32_t writes_left;
 
 uint8_t *library_eeprom(void) { return eeprom; }
 
+static uint16_t worn_from, worn_to;
+
+/* Bytes `from` to `to` are worn: they keep what they have. */
+void library_wear(uint16_t from, uint16_t to) {
+    worn_from = from;
+    worn_to = to;
+}
+
 /* The power fails during this write, counted from 0; the byte is then `value`. */
 void library_cut(uint32_t write, uint8_t value) {
     writes_left = write;
@@ -33,7 +41,7 @@ bool hal_eeprom_busy(void) { return is_busy; }
 uint8_t hal_eeprom_read(uint16_t address) { return eeprom[address]; }
 
 void hal_eeprom_write(uint16_t address, uint8_t value) {
-    if (writes_left == UINT32_MAX) /* without power nothing more is written */
+    if (writes_left == UINT32_MAX || (address >= worn_from && address < worn_to)) /* without power nothing more is written */
         return;
     eeprom[address] = writes_left > 0 ? value : torn;
     writes_left--;

@@ -1,6 +1,7 @@
 """From aligned arrays to the figures of a run; acceptance.py says whether they are good enough. Pure."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import Any
@@ -39,6 +40,10 @@ from shoal.frames import Array, pose_error, wrap_angle
 from shoal.messages import topics
 from shoal.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat, Truth
 
+STARTED = "START asked for"  # the station's line (groundstation/station/station.py)
+ENDS = tuple(
+    f"mission: {words}" for words in ("aborting", "failed", "disarming: a person", "ended by a person", "emergency stop")
+)
 UNARMED = frozenset({Mode.DISARMED, Mode.STOPPED, Mode.FAULT})
 
 
@@ -352,6 +357,8 @@ def _of_the_flight(series: Series) -> Iterator[str]:
             f"The log holds {len(series.flights)} flights. This is a report of number {series.flight} alone; "
             "`groundstation log report RUN --flight N` makes one of another."
         )
+    if in_vain := _asked_in_vain(series):
+        yield in_vain
     if not series.started:
         yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
     elif series.sent_home_s is not None and not went_all_the_way(series):
@@ -360,6 +367,18 @@ def _of_the_flight(series: Series) -> Iterator[str]:
         yield f"The run is not complete: {series.flown_s:.1f} s of {series.asked_s:g} s were flown by the slowest robot."
     elif series.asked_s < planned_s - series.experiment.controller.period_s:
         yield f"The path was over after {series.asked_s:.1f} s, before the {planned_s:g} s of the experiment."
+
+
+def _asked_in_vain(series: Series) -> str:
+    """Sentence about a start after the last flight, by which nobody flew; empty if there was none."""
+    over_s = max(((flight.over_ns - series.start_ns) * 1e-9 for flight in series.flights), default=math.inf)
+    reports = [e for e in series.timeline_events if e.source == "groundstation" and e.last_s > over_s]
+    starts = [k for k, e in enumerate(reports) if e.text == STARTED]
+    if not starts:
+        return ""
+    ends = (e.text.removeprefix("mission: ") for e in reports[starts[-1] + 1 :] if e.text.startswith(ENDS))
+    why, at_s = next(ends, ""), reports[starts[-1]].last_s
+    return f"At {at_s:.1f} s, after this, another start was asked for, and nobody flew{f': {why}' if why else ''}."
 
 
 def _least(values: Iterable[float | None]) -> float | None:

@@ -28,6 +28,7 @@ from shoal.runtime.cli_options import (
 from shoal.runtime.optional_packages import require
 from shoal.runtime.output_files import page_was_open, run_folder
 from shoal.runtime.runtime import Stop, run_steps, start_log
+from shoal.system.printable import printable
 from shoal.system.secret_files import refuse_shared
 
 if TYPE_CHECKING:  # the page's server takes a second to import
@@ -126,6 +127,8 @@ def run(
 
         result = write_report(folder)
         typer.echo(f"report: {folder / 'report.html'} ({result.verdict})")
+        for note in result.notes if result.passed and not succeeded else ():
+            typer.echo(printable(note))
         offers = ("again", "close") if run_dir is None else ("close",)  # a folder that was named holds one run
         again = page is not None and page_was_open(folder) and not stop.terminated and _flies_again(folder, page, offers)
     raise typer.Exit(0 if succeeded and result.passed else 1)

@@ -39,7 +39,8 @@ def list_runs(
         raise typer.Exit(0 if runs else 1)
     wide = max((len(run.run) for run in runs), default=0)
     for run in runs:
-        figures = f"{run.experiment:16} {run.mode_text:17} {run.duration_s:6.0f} s {run.size_mb:8.1f} MB"
+        length = f"{run.duration_s:6.0f} s" if run.duration_s > 0.0 else f"{'-':>6}  "  # not known while it is flown
+        figures = f"{run.experiment:16} {run.mode_text:17} {length} {run.size_mb:8.1f} MB"
         label = " ".join([*([f'"{run.name}"'] if run.name else []), *(f"#{tag}" for tag in run.tags)])
         typer.echo(printable(f"{run.date:16}  {run.run:{wide}}  {figures}  {run.verdict}  {label}".rstrip()))
     if not runs:

@@ -124,9 +124,11 @@ def export(
         check_output(video, [run_folder / name for name in RUN])
         count, left_out = film.write_film(run_folder, video, camera, _progress_of_film(video))
         typer.echo(f"{video}: {count} pictures")
-        if left_out:
-            typer.echo(f"{left_out} pictures of the log cannot be decoded, and are left out", err=True)
-        return
+        undecodable = f"{left_out} pictures of the log cannot be decoded, and are left out" if left_out else ""
+        lost = [line for line in (read_log(run_folder / "run.mcap", ()).trouble, undecodable) if line]
+        for line in lost:
+            typer.echo(line, err=True)
+        raise typer.Exit(1 if lost else 0)
     assert out is not None
     written: list[tuple[Path, int | None]]
     trouble: list[str] = []

@@ -32,6 +32,7 @@ from shoal.messages.labels import labels
 from shoal.messages.schema import nested_message, present_type
 from shoal.messages.session_clocks import SessionClocks
 from shoal.messages.topics import Topic
+from shoal.runtime import runtime
 from shoal.runtime.output_files import RUN, check_output, replacing_together
 
 NOTHING = np.zeros(0)
@@ -100,8 +101,11 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
 
 def table(log: Path, topic: Topic, robot: int = 0) -> dict[str, NDArray[Any]]:
     """One table of a log in memory: its columns by name. Numbers that are not there are NaN, other cells None. Messages that
-    cannot be decoded are left out. Raises ConfigError for a log without messages."""
-    zero, _ = _zero(log)
+    cannot be decoded are left out; what is wrong with the log as a whole is a warning. Raises ConfigError for a log without
+    messages."""
+    zero, trouble = _zero(log)
+    if trouble:
+        runtime.log.warning("%s: %s", log, trouble)
     named = columns(topic.type)
     lines: list[list[Any]] = []
     for line in valid_messages(log):

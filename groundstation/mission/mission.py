@@ -7,7 +7,7 @@ the next plan segment, timetable.py the instant at which the flight began. Plann
 that the mission waits for, `planned` takes its outcome.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -64,6 +64,7 @@ TEST_PATIENCE_S = 12.0  # for the thruster test of all robots
 SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going on
 AT_REST_MPS = 0.03  # slower than this counts as at rest
 REST_WITHIN_S = 8.0  # then a hold is done, and planning begins, all the same: robots in waves never quite rest
+ON_PATH_M = 0.05  # of its path: a robot that rests farther beside it is led back by a plan, as after a REJOIN
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
 ATTENDED = "a person attends, and has to start it"  # an automatic mission, once somebody has taken a hand in it
@@ -159,7 +160,8 @@ class Mission:
         self._awaits_operator = False  # a person took a hand in it, or only a person can tell how to go on
         self._form = ""  # that a FORMATION asked for and that is not flown yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
-        # How the last flight ended that the report judges: one with a START. None while it is under way, or before the first
+        # How the last flight ended that was asked for by START, or by nobody in an automatic mission, and how the way to it if
+        # nobody flew. None while it is under way, or before the first
         self.verdict: MissionState | None = None
 
     @property
@@ -198,6 +200,8 @@ class Mission:
             self._may_arm(now_ns)
         if order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START, CommandKind.TEST):
             self._begin_run()
+        if order is CommandKind.START:
+            self.verdict = None
         self._last_state = {CommandKind.LOAD: MissionState.LOADING, CommandKind.ARM: MissionState.ARMING}.get(order)
         at_rest = before in AT_REST and order in OTHER_FLIGHTS
         if order is not CommandKind.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
@@ -235,7 +239,7 @@ class Mission:
                 self.plans.target_return()
             else:
                 self.plans.target_slots()
-        if order in OTHER_FLIGHTS and self.state is MissionState.PAUSED and self._has_gap:
+        if order in OTHER_FLIGHTS and self.state is MissionState.PAUSED and self._would_have_gap:
             self._close_slots(fleet)
         if order in OTHER_FLIGHTS and self.state in AT_REST:
             self.plans.reset()  # it begins another run, with all robots
@@ -317,6 +321,7 @@ class Mission:
             began_ns = self.began_ns
             self._begin_run()
             self._run.homeward, self.began_ns = True, began_ns  # the way home belongs to the flight before, as in the report
+        self._run.gap = self._run.gap or self.roster.closed  # home they fly each to its own start, and may then fly on
         for robot in self.roster.active:
             why = unfit_to_return(self._context(fleet), robot)
             if why:
@@ -516,11 +521,12 @@ class Mission:
             return
         robot, why = loss
         policy = self._experiment.mission.lost
-        returns = self.segment.is_return or self._awaits_return or (self.state in PLANNING and self.plans.targets_return)
+        returns = self.plans.targets_return if self.state in PLANNING else self.segment.is_return or self._awaits_return
         if policy == "abort" or len(self.roster.active) == 1:
             self._fail(MissionEvent.LOST, f"robot {robot}: {why}", now_ns)
             return
         self.roster.mark_lost(robot, why)
+        self._run.gap = self._run.gap or policy == "close-up"
         if policy == "hold":
             if self.state in PLANNING:
                 self._drop_disarmed(fleet)
@@ -531,7 +537,6 @@ class Mission:
                 self._go(MissionEvent.LOST_HOLD, now_ns)
             self._awaits_operator = True
         elif policy == "close-up" and not returns:
-            self._run.gap = True
             held = self._awaits_operator or self._may_not_fly(fleet)
             if not (held and self.state is MissionState.PAUSED):  # else when they may go on
                 self._close_up(fleet, now_ns)
@@ -547,20 +552,26 @@ class Mission:
 
     @property
     def _has_gap(self) -> bool:
-        """True if robots are to close up where one was lost, whatever a person asks of those that hold."""
-        closes = self._experiment.mission.lost == "close-up" and not self.segment.is_return
+        """True if robots are to close up where one was lost, whatever a person asks of those that hold. On the way home, where
+        each flies to its own start, there is no formation."""
+        return self._would_have_gap and not self.segment.is_return
+
+    @property
+    def _would_have_gap(self) -> bool:
+        """True if the formation would have a gap, in the slots that its robots have now, that they are to close."""
+        closes = self._experiment.mission.lost == "close-up"
         return closes and (self._run.gap or self.roster.trouble) and self.roster.has_gap
 
     def _close_slots(self, fleet: Fleet) -> None:
         self._run.gap = False
-        self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
+        self.roster.reassign_slots(*self.plans.formation, fleet)
 
     def _close_up(self, fleet: Fleet, now_ns: int) -> None:
         """Close the gap of a lost robot: assign slots anew, and plan the way into them."""
         self._close_slots(fleet)
         if self._form:  # the gap closes on the way into the form that was asked for
             self.plans.target_form(self._form)
-        else:
+        elif not (self.state in PLANNING and self.plans.targets_flight):  # or on the way to the path that was
             self.plans.target_slots()
         self._go(MissionEvent.LOST_CLOSE_UP, now_ns)
 
@@ -665,8 +676,8 @@ class Mission:
     def _replan_if_needed(self, fleet: Fleet, now_ns: int) -> None:
         """After RESUMING began: plan from rest where robots cannot simply go on.
 
-        The reasons: robots are to return, and have no plan yet; a gap is to be closed; they are on different plans; one was
-        carried too far off; an obstacle, a lost robot for example, lies on the path.
+        The reasons: robots are to return, and have no plan yet; a gap is to be closed; they are on different plans; one rests
+        beside its path; an obstacle, a lost robot for example, lies on the path.
         """
         if self._awaits_return:
             self.plans.target_return()
@@ -678,7 +689,9 @@ class Mission:
         off_plan = [
             f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
         ]
-        off_plan = off_plan or [f"robot {r} is {away_m:.2f} m from its place" for r, away_m in self._carried_off(fleet)]
+        away_m, robot = self._go_on_from_rest(fleet, now_ns)
+        if away_m > ON_PATH_M:
+            off_plan = off_plan or [f"robot {robot} is {away_m:.2f} m from its place"]
         if off_plan:
             self.plans.target_current()
             self._go(MissionEvent.OFF_PLAN, now_ns)
@@ -686,34 +699,26 @@ class Mission:
         elif self._may_replan and self.plans.first_contact(fleet):
             self.plans.target_current()
             self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
-        else:
-            self._go_on_from_rest(fleet, now_ns)
 
-    def _go_on_from_rest(self, fleet: Fleet, now_ns: int) -> None:
-        """Set the timetable of RESUMING: robots go on where their trajectories come nearest to where they rest, beyond the
-        progress, and when all have had the time to turn there: in HOLD the heading is free."""
+    def _go_on_from_rest(self, fleet: Fleet, now_ns: int) -> tuple[float, int]:
+        """Set progress and timetable of RESUMING: robots go on where their trajectories come nearest to where they rest,
+        beyond the progress, and when all have had the time to turn there: in HOLD the heading is free. Returns the largest
+        distance in m of a robot from there, and the robot."""
         plans, vehicle, period_s = self.plans, self._experiment.vehicle, self._experiment.controller.period_s
         left_s = min(self.segment.end_s - plans.progress_s, REST_WITHIN_S)  # by then they had come to rest
         ahead_s = plans.progress_s + period_s * np.arange(max(round(left_s / period_s), 1), dtype=np.float64)
         poses_ahead = {r: sample(t, ahead_s).eta for r, t in self.roster.trajectories(self.segment).items()}
         if not poses_ahead:
-            return
-        distances_m = [np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in poses_ahead.items()]
-        farthest_m = np.max(distances_m, axis=0)  # of any robot from its trajectory, at each instant
+            return 0.0, 0
+        distances_m = np.array([np.linalg.norm(eta[:, :3] - fleet[r].eta[:3], axis=1) for r, eta in poses_ahead.items()])
+        farthest_m = distances_m.max(axis=0)  # of any robot from its trajectory, at each instant
         still_falls = np.append(np.diff(farthest_m) < 0.0, False)
         nearest = int(np.argmin(still_falls))  # the first instant at which it falls no more
         turns_rad = [wrap(eta.item(nearest, 3) - fleet[r].eta.item(3)) for r, eta in poses_ahead.items()]
         starts_in_s = START_IN_S + max(turn_s(vehicle, turn_rad) for turn_rad in turns_rad)
         plans.progress_s = float(ahead_s[nearest])
         self._timetable = Timetable(now_ns + round(starts_in_s * 1e9), plans.progress_s + self.governor.lag_s)
-
-    def _carried_off(self, fleet: Fleet) -> Iterator[tuple[int, float]]:
-        """Robots that are further than safety.join_within_m from their trajectories, and their distance in m."""
-        now = np.array([self.plans.progress_s])
-        for robot, trajectory in self.roster.trajectories(self.segment).items():
-            away_m = float(np.linalg.norm(sample(trajectory, now).eta[0, :3] - fleet[robot].eta[:3]))
-            if away_m > self._experiment.safety.join_within_m:
-                yield robot, away_m
+        return float(farthest_m[nearest]), list(poses_ahead)[int(distances_m[:, nearest].argmax())]
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring all moving robots to rest, then request the plan."""

@@ -37,6 +37,7 @@ class Roster:
         """Take all robots in the water in, each in its own slot, to fly `segment` from its beginning."""
         self.lost = dict.fromkeys(sorted(self.out), TAKEN_OUT)  # robots that the run goes on without, and the reason
         self.slots = {robot: robot for robot in self.all_robots}
+        self.closed = False  # the robots have closed up where one was lost
         self.history: dict[int, Trajectory] = dict(segment.trajectories)  # by robot, from the beginning of the run
 
     @property
@@ -55,7 +56,7 @@ class Roster:
 
     def reassign_slots(self, segment: PlanSegment, progress_s: float, fleet: Fleet) -> None:
         """Give the active robots the slots of the experiment's first robots, by the shortest ways."""
-        slots = self.all_robots[: len(self.active)]
+        slots, self.closed = self.all_robots[: len(self.active)], True
         self.slots |= assign_slots(segment, progress_s, {r: fleet[r].eta for r in self.active}, slots)
 
     def mark_lost(self, robot: int, why: str) -> None:
@@ -81,6 +82,7 @@ class Roster:
         for robot in robots:
             del self.lost[robot]
             self.slots[robot] = next(free)
+        self.closed = self.closed and bool(self.lost)
 
     @property
     def trouble(self) -> bool:

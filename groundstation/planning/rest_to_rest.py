@@ -46,6 +46,16 @@ def plan_return(
     return PlanSegment(trajectories, some, begin_s + (len(some.eta) - 1) * period_s + SETTLE_S, is_return=True)
 
 
+def must_be_free(experiment: Experiment, rests: Rests, goals: Rests, obstacles: Array) -> None:
+    """Raise PlanError if a hull would touch an obstacle (k, 3: x, y, radius) at its goal. A robot may move away from one."""
+    for robot, rest in rests.items():
+        there_m, here_m = (np.hypot(*(obstacles[:, :2] - at[:2]).T) - obstacles[:, 2] for at in (goals[robot], rest))
+        touching = (there_m < experiment.vehicle.radius_m) & (there_m < here_m)
+        if touching.any():
+            x, y, _ = obstacles[int(np.argmax(touching))]
+            raise PlanError(f"something lies at ({x:z.2f}, {y:z.2f}) m, where robot {robot} should come to rest: take it away")
+
+
 def plan_regroup(
     experiment: Experiment,
     segment: PlanSegment,

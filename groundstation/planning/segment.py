@@ -107,8 +107,8 @@ def first_contact(
     """Text with cause, place, robot and time of the first contact: a robot nearer than safety.radius_m to an obstacle (k, 3);
     empty if there is none. The last obstacles are the `lost` robots.
 
-    Transfers may begin and end beside obstacles (groundstation/planning/transfer.py): there only a robot counts that comes
-    nearer than at both ends of its transfer.
+    A transfer may begin beside an obstacle (groundstation/planning/transfer.py), and end where the hull does not touch it:
+    there only a robot counts that comes nearer than it is now, or will be at the end.
     """
     if len(obstacles) == 0:
         return ""
@@ -119,9 +119,9 @@ def first_contact(
     for slot, trajectory in segment.trajectories.items():
         short = _short_m(experiment, trajectory, time_s, obstacles)
         if apart:
-            short -= (
-                np.maximum(_short_m(experiment, trajectory, np.array([from_s, ends_s]), obstacles).max(axis=0), 0.0) + BESIDE_M
-            )
+            now, end = _short_m(experiment, trajectory, np.array([from_s, ends_s]), obstacles)
+            end = np.minimum(end, experiment.safety.radius_m - experiment.vehicle.radius_m)
+            short -= np.maximum(np.maximum(now, end), 0.0) + BESIDE_M
         meets = np.flatnonzero(short.max(axis=1, initial=-np.inf) > 0.0)
         if len(meets):
             first = int(meets[0])

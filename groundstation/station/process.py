@@ -103,7 +103,7 @@ def cycles(
         inboxes, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
         station = Station(experiment, bus, clock, recorder, mission, tuner, inboxes, threads, insecure=options.insecure)
         station.views = station.fleet()
-        bus.serve(WHOLE_FLEET, station.on_operator_command)
+        bus.serve(WHOLE_FLEET, station.on_operator_command, expires=True)
         log_to_bus(bus, clock, "groundstation")
         log.info("%s", code())
         if options.insecure:
@@ -119,7 +119,7 @@ def cycles(
             log.info("viewers: ws://%s:%d", *options.viewer)
         instants = owner.instants(station) if owner is not None else None
         bus.announce("groundstation")
-        started_s = time.monotonic()
+        started_ns = clock.now_ns()
         end = EndOfRun(station, server)
         if instants is not None:
             yield from _cycles_at(instants, station, end)
@@ -128,7 +128,7 @@ def cycles(
         else:
             _wall_loop(station, stop, end)
         _conclude(station, server, stop, run_dir)
-        log.info("mission %s; the station ran for %.1f s", mission.state.value, time.monotonic() - started_s)
+        log.info("mission %s; the station ran for %.1f s", mission.state.value, (clock.now_ns() - started_ns) * 1e-9)
         recorder.close()
         if recorder.error:  # also of the log's end, which nobody else tells
             log.error("recorder: %s", recorder.error)

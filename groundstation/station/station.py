@@ -28,7 +28,8 @@ from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
 from groundstation.web.backend import Status
 from shoal.bus.access_control import INSECURE
-from shoal.bus.bus import Bus
+from shoal.bus.bus import HELD_UP, Bus
+from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.bus.endpoint import PATIENT_MS
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
@@ -286,29 +287,43 @@ class Station:
     def on_operator_command(self, header: Header, command: Command) -> Reply:
         """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A TUNE without gains
         goes back to the gains before the last change."""
+        until_s = math.inf if command.order in ALWAYS_TAKEN else time.monotonic() + command.time_to_live_s
         if command.about and command.order is CommandKind.NONE:
             outcome = self.requests.outcome(command.about)
             reason = "" if outcome is not None else f"request {command.about} is not known here (any more)"
             return Reply(WHOLE_FLEET, outcome is not None, reason, outcome=outcome)
         if command.tuning is not None and command.order is CommandKind.TUNE:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
-            reason, number = self.request_gains(keys or None, next_lap=False)
+            reason, number = self.request_gains(keys or None, False, until_s)
         else:
-            reason, number = self.request(
-                command.order, [(x, y) for x, y in command.via.tolist()], command.robot, command.text
-            )
+            via = [(x, y) for x, y in command.via.tolist()]
+            reason, number = self.request(command.order, via, command.robot, command.text, until_s)
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
+    @contextmanager
+    def _turn(self, until_s: float) -> Iterator[str]:
+        """Hold the lock for a request whose sender waits until `until_s` (s, monotonic). Yields the reason to refuse it, or
+        nothing."""
+        with self.lock:
+            yield HELD_UP if time.monotonic() > until_s else ""
+
     def request(
-        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
+        self,
+        order: CommandKind,
+        via: Sequence[tuple[float, float]] = (),
+        only: int = WHOLE_FLEET,
+        text: str = "",
+        until_s: float = math.inf,
     ) -> tuple[str, int]:
-        """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
-        of a refusal, or nothing, and the request's number."""
+        """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. It is not done
+        after `until_s` (s, monotonic). Returns the reason of a refusal, or nothing, and the request's number."""
         if order is CommandKind.FAULT:
             return self._fault(text)
-        with self.lock:
-            reason, number = self.core.request(order, self.fleet(), self.clock.now_ns(), via, only, text)
+        with self._turn(until_s) as reason:
+            number = 0
+            if not reason:
+                reason, number = self.core.request(order, self.fleet(), self.clock.now_ns(), via, only, text)
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
@@ -370,11 +385,13 @@ class Station:
         """True while a robot that is heard may put out thrust."""
         return any(view.heard and view.mode in LIVE for view in self.views.values())
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
-        """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
-        number."""
-        with self.lock:
-            reason, number = self.core.request_gains(values, next_lap, self.fleet(), self.clock.now_ns())
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
+        """Change the fleet's gains; None: go back to those before. Not after `until_s` (s, monotonic). Returns the reason of a
+        refusal, or nothing, and the number."""
+        with self._turn(until_s) as reason:
+            number = 0
+            if not reason:
+                reason, number = self.core.request_gains(values, next_lap, self.fleet(), self.clock.now_ns())
             self.asked_s = time.monotonic()
         what = "the gains before" if values is None else ", ".join(f"{key} = {value:g}" for key, value in values.items())
         when = " on the next lap" if next_lap else ""

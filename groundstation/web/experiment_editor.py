@@ -25,6 +25,7 @@ from shoal.errors import ConfigError
 from shoal.messages.messages import CommandKind, Trajectory
 from shoal.runtime.output_files import replace_text
 
+EDITED_TITLE = ", edited"  # ends the title of what is no longer the experiment that it names
 EDITED = Path("experiments")  # below where the station was started
 LIMIT_S = 10.0  # for an edit's plan, which takes the processor from the station's cycle; the page asks again at each change
 # The path's keys by the edit's, for each kind of path
@@ -59,6 +60,8 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
     if edit.duration_s is not None:
         table["duration_s"] = edit.duration_s
     _choose_robots(table, edit)
+    if table != experiment.model_dump(mode="json", exclude_none=True):
+        table["title"] = f"{(experiment.title or experiment.name).removesuffix(EDITED_TITLE)}{EDITED_TITLE}"
     return check(Experiment, table, "this edit")
 
 

@@ -112,7 +112,7 @@ def evaluate(
     camera: CameraName = "",
     settings: Settings = None,
 ) -> None:
-    """Print a table of the localizer's errors against a known truth.
+    """Print a table of the localizer's errors against a known truth. Exit code 1 if the recording is not whole.
 
     Examples:  localizer evaluate runs/pool-20260101-120000/run.mcap
     localizer evaluate mouse.mp4 --truth mouse_idtracked.txt --frames 3000
@@ -132,7 +132,7 @@ def evaluate(
     rows: runner.Rows
     damage = ""
     if recording.suffix == ".mcap":
-        rows = runner.evaluate_log(recording)
+        rows, damage = runner.evaluate_log(recording)
     elif truth is None:
         raise ConfigError(f"{recording}: no log (a run's is RUN/run.mcap), and a video needs --truth FILE")
     elif experiment is None:
@@ -165,7 +165,8 @@ def track(
     camera: CameraName = "",
     settings: Settings = None,
 ) -> None:
-    """Localize the robots of an experiment in a recording, without a station, and write their poses to a table.
+    """Localize the robots of an experiment in a recording, without a station, and write their poses to a table. Exit code 1 if
+    the recording is not whole, or pictures failed.
 
     Examples:  localizer track pool.mkv --experiment lab.toml --out poses.csv
     localizer track frames-1 --out poses.parquet
@@ -196,12 +197,12 @@ def track(
     table = PoseTable(out, _fingerprint(f"{loaded.hash} {camera}", recording, reports))
     table.check(resume)
     with ExitStack() as stack:
-        film, first_ns, left_out = recording, 0, ""
+        film, first_ns, left_out, cut = recording, 0, "", list[str]()
         if recording.suffix == LOG:
             film = Path(stack.enter_context(TemporaryDirectory())) / "film.mkv"
             first_ns, left_out = film_of_log(recording, camera, film)
         video = None if raw else stack.enter_context(closing(VideoReader(film)))
-        frames = recorded_frames(recording) if video is None else frames_of_video(video, recording, loaded, reports)
+        frames = recorded_frames(recording, cut) if video is None else frames_of_video(video, recording, loaded, reports)
         frames = (replace(frame, stamp_ns=frame.stamp_ns + first_ns) for frame in frames) if first_ns else frames
         count = frame_estimate(recording, loaded.camera.size_px) if video is None else len(video.stamps_ns)
         with typer.progressbar(length=count, label=recording.name, file=sys.stderr) as bar:
@@ -209,7 +210,7 @@ def track(
                 bar.update(finished - bar.pos)
         damage = "" if video is None else video.damage()
     typer.echo(f"Wrote {out}: {table.rows} poses from {table.frames} pictures.")
-    troubles = [trouble for trouble in (table.failures, left_out, damage) if trouble]
+    troubles = [trouble for trouble in (table.failures, left_out, damage, *cut) if trouble]
     for trouble in troubles:
         typer.echo(trouble, err=True)
     if troubles:
@@ -231,7 +232,7 @@ def rerun(
     """Localize in recorded frames once more, and compare with the poses that were published then.
 
     Nothing changed: the same to the last bit, on the same kind of machine. With --set: other poses, in the same pictures.
-    Exit code 1 if nothing was changed and something differs.
+    Exit code 1 if nothing was changed and something differs, or if the recording is not whole.
 
     Examples:  localizer rerun frames-1
     localizer rerun frames-1 --set localizer.corner_sigma_px=0.4
@@ -247,8 +248,9 @@ def rerun(
     start_log("localizer")
     cv2.setNumThreads(1)  # as `run`
     require_recording(recording)
-    rows, failures = compare_again(recording, load_experiment(str(recording / EXPERIMENT), settings or ()))
+    damage = list[str]()
+    rows, failures = compare_again(recording, load_experiment(str(recording / EXPERIMENT), settings or ()), damage)
     typer.echo(to_json(rows) if as_json else table(rows))
-    if failures:
-        typer.echo(failures, err=True)
-    raise typer.Exit(1 if not settings and any(row.differing for row in rows) else 0)
+    for trouble in filter(None, (failures, *damage)):
+        typer.echo(trouble, err=True)
+    raise typer.Exit(1 if damage or (not settings and any(row.differing for row in rows)) else 0)

@@ -263,15 +263,16 @@ class PoseComparison:
     largest_mm: float
 
 
-def compare_again(folder: Path, experiment: Experiment) -> tuple[list[PoseComparison], str]:
-    """Localize in the frames of a recording again. Returns the comparisons, and a text about the pictures that failed. Raises
-    ConfigError for what is no recording, and Failed for one in whose frames nothing could be done."""
+def compare_again(folder: Path, experiment: Experiment, damage: list[str]) -> tuple[list[PoseComparison], str]:
+    """Localize in the frames of a recording again. Returns the comparisons, and a text about the pictures that failed;
+    `damage` takes where the recording was cut. Raises ConfigError for what is no recording, and Failed for one in whose frames
+    nothing could be done."""
     localizer = FrameLocalizer(experiment)
     poses, differing = Counter[int](), Counter[int]()
     first: dict[int, int] = {}
     largest_m = dict.fromkeys(experiment.robot_ids, 0.0)
     frames = 0
-    for number, frame in enumerate(recorded_frames(folder)):
+    for number, frame in enumerate(recorded_frames(folder, damage)):
         frames += 1
         result = localizer.poses(frame)
         again = dict(result.poses) if result is not None else {}

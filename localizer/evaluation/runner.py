@@ -157,12 +157,13 @@ def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
 # --- a run's log
 
 
-def evaluate_log(path: Path) -> list[PoseRow]:
+def evaluate_log(path: Path) -> tuple[list[PoseRow], str]:
     """Poses of a recorded run against the plant's truth in it; with several cameras the fused ones, and then rows about the
-    cameras. A log that was cut off counts as far as it goes. Each sender stamps by its own clock; what belongs together does
-    by the recorder's."""
+    cameras. A log that was cut off counts as far as it goes; the sentence behind the rows says so. Each sender stamps by its
+    own clock; what belongs together does by the recorder's."""
+    damage = list[str]()
     published, truths, clocks = list[tuple[RecordedMessage, Pose]](), list[tuple[RecordedMessage, Truth]](), SessionClocks()
-    for record in _records(path):
+    for record in _records(path, damage):
         one = record._replace(data=b"")  # what is kept is decoded
         try:
             if one.topic.endswith(topics.TRUTH.name):
@@ -189,7 +190,7 @@ def evaluate_log(path: Path) -> list[PoseRow]:
     rows = pose_rows([pose for pose in poses if not pose.camera], paths) + camera_rows(poses, paths)
     if not rows:
         raise ConfigError(f"{path}: no poses with a truth to compare with ({len(poses)} poses, truth of {len(true)} robots)")
-    return rows
+    return rows, "".join(damage)
 
 
 def _published(one: RecordedMessage, pose: Pose, at_ns: int) -> PublishedPose:
@@ -198,15 +199,15 @@ def _published(one: RecordedMessage, pose: Pose, at_ns: int) -> PublishedPose:
     return PublishedPose(int(parts[-2]), at_ns, pose, camera)
 
 
-def _records(path: Path) -> Iterator[RecordedMessage]:
-    """The poses and truths of a log, and the localizers' status, up to a cut or damaged record."""
+def _records(path: Path, damage: list[str]) -> Iterator[RecordedMessage]:
+    """The poses and truths of a log, and the localizers' status, up to a cut or damaged record, which `damage` takes."""
     try:
         with open_regular(path) as file:
             yield from (one for one in log_records.recorded_messages(file) if one.topic.endswith(_READ))
     except ImportError:
         raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None
-    except log_records.Damaged:  # the recorder was killed: what lies before is good
-        return
+    except log_records.Damaged as error:  # the recorder was killed: what lies before is good
+        damage.append(f"{path}: was cut, and what lies behind is not evaluated: {error}")
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
 

@@ -20,45 +20,51 @@ WHOLE_PICTURE = b"\x00\x00\x01\x65"  # H.264: start code and head of a picture t
 
 def film_of_log(log: Path, camera: str, out: Path) -> tuple[int, str]:
     """Write the packets of the log's film, as they are, to `out` (.mkv): from the first whole picture to where the stamps go
-    back. Returns the stamp of the first in ns, and a sentence about pictures that are left out, or "". Raises ConfigError for
-    a log without film."""
+    back, or the log was cut. Returns the stamp of the first in ns, and a sentence about pictures that are left out, or "".
+    Raises ConfigError for a log without film."""
     try:
         av: Any = importlib.import_module("av")
     except ModuleNotFoundError:
         raise ConfigError(f"{log}: reading its film is not installed here (pip install 'shoal[video]')") from None
-    name = topics.VIDEO.of_camera(camera).name
+    name, damage = topics.VIDEO.of_camera(camera).name, list[str]()
     try:
         with os_errors_as_config_errors(log), open_regular(log) as file:
-            pictures = [(stamp_ns, _begins(packed)) for stamp_ns, packed in _packets(log, file, name)]
+            pictures = [(stamp_ns, _begins(packed)) for stamp_ns, packed in _packets(log, file, name, damage)]
         kept = _playable(pictures)
         stamps_ns = [stamp_ns for stamp_ns, _ in pictures[kept]]
         if len(stamps_ns) < 2:
+            if damage:
+                raise ConfigError(damage[0])
             raise ConfigError(f'{log}: holds no film of the camera (recording.video = "h264" keeps one)')
         # The mean rate: where the recorder left pictures out, a reader must not count on any other.
         rate_hz = Fraction(10**9 * (len(stamps_ns) - 1), stamps_ns[-1] - stamps_ns[0]).limit_denominator(10_000)
         with os_errors_as_config_errors(log), open_regular(log) as file, av.open(str(out), "w") as film:
             stream: Any = None
-            for stamp_ns, packed in islice(_packets(log, file, name), kept.start, kept.stop):
+            for stamp_ns, packed in islice(_packets(log, file, name, []), kept.start, kept.stop):
                 stream = _add_stream(av, film, packed, rate_hz) if stream is None else stream
                 packet = av.Packet(packed)
                 packet.stream, packet.time_base = stream, Fraction(1, CLOCK_HZ)
                 packet.pts = packet.dts = (stamp_ns - stamps_ns[0]) * CLOCK_HZ // 10**9
                 packet.is_keyframe = _begins(packed)
                 film.mux(packet)
-    except (mcap_records.Damaged, DecodeError) as error:
+    except DecodeError as error:
         raise ConfigError(f"{log}: {error}") from None
     except av.error.FFmpegError as error:
         raise ConfigError(f"{log}: its film cannot be read: {error}") from None
     why = "what comes before the first whole one, and after the camera's clock was set back"
     left_out = len(pictures) - len(stamps_ns)
-    return stamps_ns[0], f"{log}: {left_out} of {len(pictures)} pictures are left out: {why}" if left_out else ""
+    sentences = [f"{log}: {left_out} of {len(pictures)} pictures are left out: {why}"] if left_out else []
+    return stamps_ns[0], "; ".join([*sentences, *damage])
 
 
-def _packets(log: Path, file: IO[bytes], name: str) -> Iterator[tuple[int, bytes]]:
-    """Stamp and packet of each picture of the log."""
-    for topic, stamp_ns, data in mcap_records.messages(file):
-        if topic.endswith(f"/{name}"):
-            yield stamp_ns, decode(Video, data, str(log), name).h264
+def _packets(log: Path, file: IO[bytes], name: str, damage: list[str]) -> Iterator[tuple[int, bytes]]:
+    """Stamp and packet of each picture of the log, up to where it was cut or is damaged, which `damage` takes."""
+    try:
+        for topic, stamp_ns, data in mcap_records.messages(file):
+            if topic.endswith(f"/{name}"):
+                yield stamp_ns, decode(Video, data, str(log), name).h264
+    except mcap_records.Damaged as error:
+        damage.append(f"{log}: was cut, and the film ends there: {error}")
 
 
 def _playable(pictures: Sequence[tuple[int, bool]]) -> slice:

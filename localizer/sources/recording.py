@@ -147,7 +147,8 @@ class FrameRecorder:
             self._fail(": the disk does not answer; its last frames and its end are missing")
         elif not self._failed:
             try:
-                self._writer.finish()
+                if not self.failure:  # else frames are missing: its end is left out, by which every reader knows that
+                    self._writer.finish()
                 self._file.flush()
                 check_named(self._file.fileno(), self._folder / FRAMES)
                 self._file.close()
@@ -213,9 +214,9 @@ def require_recording(folder: Path) -> None:
         raise ConfigError(f"{folder}: {names} {are} missing there (allowed: a folder of `localizer run --record`){run}")
 
 
-def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
-    """The frames of a recording, in order, as far as they are whole; where it was cut is logged. Raises ConfigError for a file
-    that is none."""
+def recorded_frames(folder: Path, damage: list[str] | None = None) -> Iterator[RecordedFrame]:
+    """The frames of a recording, in order, as far as they are whole; `damage` takes where it was cut. Raises ConfigError for a
+    file that is none."""
     path = folder / FRAMES
     inputs: dict[str, Any] | None = None
     poses: dict[int, bytes] = {}
@@ -233,7 +234,8 @@ def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
     except log_records.Damaged as error:
         if count == 0:
             raise ConfigError(f"{path}: no recording of frames: {error}") from None
-        log.warning("%s: ends after frame %d: %s", path, count, error)
+        if damage is not None:
+            damage.append(f"{path}: was cut, and ends after {count} frames: {error}")
     except (DecodeError, KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: after frame {count}: not written by `localizer run --record`: {error}") from None
     except OSError as error:

@@ -40,7 +40,7 @@ SLIGHTEST_MPS = 0.01  # a slower approach is no conflict: robots in formation sw
 PARTING = 0.999  # of the present distance: robots closer than allowed may take any velocity that leads no closer
 WELL_CLEAR = 0.5  # of the distance to keep: a robot that passes so far on the other side stays on it
 ABAFT = -0.38  # cosine of 112.5 degrees from ahead: a robot from there overtakes, and has to keep clear
-HEAD_ON = -0.9  # cosine between courses that are so opposite that both give way
+HEAD_ON = -0.9  # cosine between courses that are so opposite that both give way; 0.9: so alike that one overtakes
 STANDS_ON = 0.5  # of the time to look ahead: for a robot that should have given way
 CATCH_UP = 0.5  # of the reference's speed, on top of it, to return with, if `Agility.catch_up_mps` is less
 UNHURRIED_MPS = 0.06  # likewise while something is in the way: a robot that hurries then takes a long way round
@@ -228,11 +228,12 @@ def make_fan() -> Fan:
 
 
 class Motion(NamedTuple):
-    """Place of a robot, the velocity that it wants, and the one that it has."""
+    """Place of a robot, the velocities that it wants and has, and that of its reference if it overtakes, else 0."""
 
     place: complex
     wanted: complex
     velocity: complex
+    pace: complex
 
 
 @kernel(part=True)
@@ -259,10 +260,13 @@ def worst_pass(motion: Motion, way: complex, traffic: Traffic, within_s: Floats,
 @kernel
 def nearest_free(motion: Motion, traffic: Traffic, within_s: Floats, sided: Bools, fan: Fan, basin: Basin) -> complex:
     """The cheapest velocity of a fan that passes all traffic; if none does, the one that keeps farthest away. A change from
-    the present velocity costs."""
-    least, best = np.inf, motion.wanted
+    the present velocity costs. A robot that overtakes goes along its path no faster than its reference, or the wanted
+    velocity: it would run ahead of it, and circle around the other robot on its way back."""
+    least, best, along = np.inf, motion.wanted, motion.pace / max(abs(motion.pace), STILL)
+    most = max(dot(motion.wanted, along), abs(motion.pace))
     for n in range(len(fan.price)):
         way = motion.wanted * fan.turn[n]
+        way -= max(dot(way, along) - most, 0.0) * along
         worst = worst_pass(motion, way, traffic, within_s, sided)
         if leads_into_wall(motion.place, way, basin):
             worst = 1.0
@@ -440,12 +444,15 @@ class GiveWay:
         look_ahead(reference.eta, reference.velocity, self._times_s, self._point, self.agility, ahead)
         if not find_meetings(place, ahead, traffic, within_s, meets):
             return None
-        own_mps = math.hypot(*reference.velocity[0, :2].tolist())
+        own = complex(*reference.velocity[0, :2].tolist())
+        own_mps = abs(own)
         unhurried_mps = own_mps + max(CATCH_UP * own_mps, UNHURRIED_MPS)
         if own_mps < SLIGHTEST_MPS:
             unhurried_mps = AT_END * self.agility.fastest_mps
         wanted *= min(1.0, unhurried_mps / abs(wanted))
-        motion = Motion(place, wanted, self._velocity)
+        theirs, theirs_mps = traffic.velocity[meets], np.abs(traffic.velocity[meets])
+        overtakes = (theirs_mps < own_mps) & ((own.conjugate() * theirs).real > -HEAD_ON * own_mps * theirs_mps)
+        motion = Motion(place, wanted, self._velocity, own if np.all(overtakes) else 0j)
         return complex(nearest_free(motion, traffic, within_s, meets & traffic.yields, self._fan, self._basin))
 
     # --- the path of the point

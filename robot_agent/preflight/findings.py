@@ -7,6 +7,7 @@ from datetime import datetime
 from enum import Enum
 
 from shoal.bus.key_ring import EXPIRES_SOON
+from shoal.runtime.version import are_known
 
 CLOCK_APART_S = 1.0  # TLS and the order of logs depend on the clocks; no age and no order does
 MINUTE = "%Y-%m-%d %H:%M"
@@ -57,6 +58,9 @@ def certificate(common_name: str, starts: datetime, expires: datetime, now: date
 
 def same_code(stations: str, own: str) -> CheckFinding:
     """Compare version and commit of the station's program, "" of an earlier one, with this computer's."""
+    if not are_known(stations, own):
+        text = f"{own}, the station's {stations or 'an earlier version'}: nobody knows whether that is the same"
+        return CheckFinding("code", CheckVerdict.WARN, text)
     if stations == own:
         return CheckFinding("code", CheckVerdict.OK, f"{own}, as the station's")
     text = f"{own}, the station's {stations or 'an earlier version'} (`groundstation deploy` brings it here)"

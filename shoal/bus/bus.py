@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from shoal.bus.command_deduplication import CommandDeduplicator
-from shoal.bus.delay_estimator import DelayEstimator
+from shoal.bus.command_deduplication import ALWAYS_TAKEN, CommandDeduplicator
+from shoal.bus.delay_estimator import DelayEstimator, SenderDelays
 from shoal.bus.transport import Answer, Await, Transport
 from shoal.errors import ConfigError, Unreached
 from shoal.messages import topics
@@ -43,7 +43,9 @@ STOPPED_WITHIN_S = 0.2  # between looks at whether this process is to end
 SESSIONS = 4  # per inbox that are remembered: of a sender that was started again, the one before may still be on its way
 TWO_SENDERS_S = 1.0  # after the last sign of a second sender; all topics that control come several times in that time
 NOBODY = "nobody answers there"
+HELD_UP = "was held up for so long that nobody waits for it any more: not done"
 KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
+REPLY_S = 0.25  # of the time that a request's sender waits: for the reply to come back
 
 
 @dataclass(frozen=True)
@@ -170,6 +172,11 @@ def _claim_of(key: str) -> tuple[str, int]:
     return state, int(session, 16)
 
 
+class _Recipient(NamedTuple):
+    session: int
+    took_s: float  # from the command by which it was met to its reply
+
+
 class _SentCommand(NamedTuple):
     sequence: int
     answer: Await  # waits for the reply
@@ -188,7 +195,7 @@ class Bus:
         self._publishers: dict[str, Callable[[bytes, bytes], None]] = {}
         self._sequences: dict[str, int] = {}
         self._present: set[str] = set()
-        self._recipients: dict[str, int] = {}  # by key: session of the process that answers its commands
+        self._recipients: dict[str, _Recipient] = {}  # by key: the process that answers its commands
         self._turns: dict[str, threading.Lock] = {}  # by key: around a message's number and its sending
         self._served: dict[str, Answer] = {}  # by key: the answers to commands
         self.unreachable: frozenset[int] = frozenset()  # robots that no command reaches
@@ -290,15 +297,27 @@ class Bus:
             self.rejected += 1
             return None
 
-    def serve(self, robot: int, handle: Handle) -> None:
+    def serve(self, robot: int, handle: Handle, expires: bool = False) -> None:
         """Answer the commands to a robot. `handle` runs in a network thread, and sees each command once
         (shoal/bus/command_deduplication.py). What cannot be read is refused, with the reason; so is what `handle` raises
         an exception at, which may be carried out by half and is not tried again. A STOP waits for no other command: `handle`
-        may be called with it while another call is under way."""
+        may be called with it while another call is under way.
+
+        `expires`: a command is handed over with what is left of its time to live; one that was held up for longer is refused.
+        Its sender waits no longer. A STOP, a DISARM and a query are answered however late."""
         name, deduplicator = topics.COMMAND_KEY.format(robot=robot), CommandDeduplicator(self.session)
         turn, deduplicator_lock = threading.Lock(), threading.Lock()  # around a command; around the deduplicator
+        delays = SenderDelays()
+
+        def left(command: Command, since_ns: int) -> Command:
+            """A command that was sent at `since_ns`, on our clock, with what is left of its time to live."""
+            if not expires:
+                return command
+            return replace(command, time_to_live_s=command.time_to_live_s - (time.monotonic_ns() - since_ns) * 1e-9)
 
         def handled(header: Header, command: Command) -> Reply:
+            if command.time_to_live_s < 0.0 and command.order not in ALWAYS_TAKEN | {CommandKind.NONE}:
+                return Reply(robot, False, f"{command.order.name} {HELD_UP}")
             try:
                 return handle(header, command)
             except Exception as error:  # without an answer the sender would take the network for the cause
@@ -306,17 +325,20 @@ class Bus:
                 return Reply(robot, False, f"{command.order.name} failed: {type(error).__name__}: {error}")
 
         def answer(payload: bytes, header: bytes) -> bytes:
+            arrived_ns = time.monotonic_ns()
             try:
                 decoded = Header.decode(header, "unknown peer", name)
                 command = decode(Command, payload, f"session {decoded.session:x}", name)
             except DecodeError as error:
                 self.rejected += 1
                 return encode(Reply(robot, False, str(error)))
+            with deduplicator_lock:
+                since_ns = arrived_ns - delays.excess_ns(decoded, arrived_ns)
             with contextlib.nullcontext() if command.order is CommandKind.STOP else turn:
                 with deduplicator_lock:
                     reply = deduplicator.known_reply(decoded, command)
                 if reply is None:
-                    reply = handled(decoded, command)
+                    reply = handled(decoded, left(command, since_ns))
                     with deduplicator_lock:
                         reply = deduplicator.record(decoded, reply)
             with self.arrival:
@@ -348,12 +370,20 @@ class Bus:
         until another is answered.
 
         The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
-        started again is refused: what it was meant for is no more. So is a second try that would come after a later order."""
+        started again is refused: what it was meant for is no more. So is a second try that would come after a later order.
+
+        A request (`to`) lives no longer than its sender waits. The recipient measures how long it was held up beyond the
+        fastest command of this sender, so what that took is taken off."""
         if command.robot in self.unreachable:
             return lambda: self._read(command, "", None, f"no answer within {timeout_s:g} s")
         key = self._key(topics.COMMAND_KEY.format(robot=command.robot if to is None else to))
-        recipient, asked_s = self._recipients.get(key, 0), time.monotonic()
-        first = self._ask(key, replace(command, recipient=recipient), stamp_ns, timeout_s)
+        met, asked_s = self._recipients.get(key), time.monotonic()
+
+        def named(recipient: _Recipient) -> Command:
+            lives_s = command.time_to_live_s if to is None else max(timeout_s - recipient.took_s - REPLY_S, 0.0)
+            return replace(command, recipient=recipient.session, time_to_live_s=lives_s)
+
+        first = self._ask(key, command if met is None else named(met), stamp_ns, timeout_s)
         assert first is not None
 
         def read(answer: Await, asked_s: float) -> Reply:
@@ -364,18 +394,18 @@ class Bus:
 
         def reply() -> Reply:
             """Wait for the answer. A process that has only said who it is gets the order again, by its name."""
-            first_reply = read(first.answer, asked_s)
-            process = first_reply.session
-            if process:
-                self._recipients[key] = process
-            is_final = recipient or not process or first_reply.accepted
+            first_reply, asked_again_s = read(first.answer, asked_s), time.monotonic()
+            process, took_s = first_reply.session, asked_again_s - asked_s
+            if process and (met is None or process != met.session):
+                self._recipients[key] = _Recipient(process, took_s)
+            is_final = met is not None or not process or first_reply.accepted
             if is_final:
                 return first_reply
-            asked_again_s = time.monotonic()
-            named = self._ask(key, replace(command, recipient=process), stamp_ns, timeout_s, only_after=first.sequence)
-            if named is None:
+            again_ns = stamp_ns if to is None else stamp_ns + round(took_s * 1e9)
+            again = self._ask(key, named(self._recipients[key]), again_ns, timeout_s, only_after=first.sequence)
+            if again is None:
                 return Reply(command.robot, False, f"{command.order.name} was overtaken by a later order")
-            return read(named.answer, asked_again_s)
+            return read(again.answer, asked_again_s)
 
         return reply
 

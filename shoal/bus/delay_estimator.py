@@ -10,10 +10,13 @@ a computer that slept falls behind; its messages count as late for as long as WI
 Clocks drift: what the fastest of several windows show of it is taken off, for a pose comes by way of three clocks and more.
 """
 
-from collections import deque
+from collections import OrderedDict, deque
+
+from shoal.messages.codec import Header
 
 WINDOW_NS = 2_000_000_000
 WINDOWS = 8  # the fastest of so many counts; a way that has been slower for longer is the usual one
+SENDERS = 4096  # remembered by `SenderDelays`; each terminal's command is one
 DRIFT = 2e-4  # of two clocks against each other: 100 ppm each, twice what a crystal may have
 
 
@@ -64,3 +67,18 @@ class DelayEstimator:
         (begin_ns, first_ns), (end_ns, last_ns) = self._fastest[0], self._fastest[-1]
         rate = (last_ns - first_ns) / (end_ns - begin_ns) if end_ns > begin_ns else 0.0
         return rate if abs(rate) <= DRIFT else self._rate
+
+
+class SenderDelays:
+    """The delay estimates of many senders' messages: of those that were heard last."""
+
+    def __init__(self) -> None:
+        self._senders: OrderedDict[int, DelayEstimator] = OrderedDict()  # by session
+
+    def excess_ns(self, header: Header, arrived_ns: int) -> int:
+        """Take in a message, and return its delay beyond the fastest one of its sender."""
+        sender = self._senders.setdefault(header.session, DelayEstimator())
+        self._senders.move_to_end(header.session)
+        if len(self._senders) > SENDERS:
+            self._senders.popitem(last=False)
+        return sender.excess_ns(header.stamp_ns + header.age_ns, arrived_ns)

@@ -33,7 +33,6 @@ TRY_AGAIN_S = 0.2
 DRAWS = 3  # of free ports behind the gate
 SAY_AGAIN_S = 10.0  # how often a process says that it still waits
 MOST_LINKS_OF_ONE = 64  # connections of one certificate: a robot has two, a viewer's may be used by many people
-MOST_NAMES = 1000  # of unlisted members that are remembered as told of
 NO_ANSWER = "something listens there, but does not answer as a station without keys (one that has them wants --keys FOLDER)"
 
 # Zenoh's own log, on stdout, of a router with keys, with --verbose: who came in, why a handshake failed, and what access
@@ -169,8 +168,6 @@ class _Members:
         """True once in SAY_AGAIN_S for a name."""
         if now_s - self._said_s.get(name, float("-inf")) < SAY_AGAIN_S:
             return False
-        if len(self._said_s) > MOST_NAMES:
-            self._said_s.clear()
         self._said_s[name] = now_s
         return True
 

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from shoal.kernels import cache as kernel_cache
+from shoal.system import programs
 
 PACKAGES = ("robot_agent", "localizer", "sim_bridge")  # those with kernels
 WORKER = "SHOAL_KERNEL_WORKER"  # set in a process that compiles
-START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); from shoal.kernels.worker import main; main()"
 
 WORKER_MB = 500.0  # memory of a process that compiles the kernels of one package (measured: 440)
 SHARE = 0.6  # of the free memory: a process that has grown beyond it ends, and the next module goes to another
@@ -184,18 +184,19 @@ class Build:
         return True
 
     def _start(self, queue: list[str], limit_mb: float, workers: dict[Any, list[str]], ready: selectors.BaseSelector) -> None:
-        """Start a worker that compiles the modules of a queue."""
-        path = json.dumps([part for part in sys.path if part] + [str(kernel_cache.ROOT)])
-        command = [sys.executable, "-P", "-c", START, path, str(limit_mb), *queue]
-        worker = subprocess.Popen(
-            command, bufsize=0, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, pass_fds=[self._lock.fileno()]
+        """Start a worker that compiles the modules of a queue, with this process's import path."""
+        around = {WORKER: "1", "PYTHONPATH": os.pathsep.join([*filter(None, sys.path), str(kernel_cache.ROOT)])}
+        words = [str(limit_mb), *queue]
+        worker = programs.start(
+            "shoal.kernels.worker", words, stdout=subprocess.PIPE, more=around, inherits=[self._lock.fileno()]
         )
+        assert worker.stdout is not None
         workers[worker] = queue
-        ready.register(worker.stdout, selectors.EVENT_READ, worker)  # type: ignore[arg-type]
+        ready.register(worker.stdout, selectors.EVENT_READ, worker)
 
     def _take_report(self, worker: Any, limit_mb: float, workers: dict[Any, list[str]], ready: selectors.BaseSelector) -> None:
         """Take up one report of a worker, or its end; what an early end has left, another worker goes on with."""
-        line = worker.stdout.readline()
+        line = _line(worker.stdout.fileno())
         if line:
             report = json.loads(line)
             if "module" in report:
@@ -224,6 +225,14 @@ class Build:
             _record(kernel_cache.folder(), package).write_text(json.dumps(record), encoding="utf-8")
         except OSError as error:
             print(f"{error.filename}: {error.strerror}", file=sys.stderr)
+
+
+def _line(descriptor: int) -> bytes:
+    """The next line of a pipe, and no byte more, which would wait unseen in a buffer; empty at its end."""
+    line = b""
+    while not line.endswith(b"\n") and (byte := os.read(descriptor, 1)):
+        line += byte
+    return line
 
 
 def _is_complete(package: str) -> bool:

@@ -1,6 +1,6 @@
 """SHELL: the process that compiles kernels for `shoal/kernels/build.py`: imports modules, and reports each kernel on stdout.
 
-Machine code, compiler and their memory are gone with it. It ends with whoever started it: the pipe breaks.
+Machine code, compiler and their memory are gone with it. It ends with whoever started it (shoal/system/programs.py).
 """
 
 import gc
@@ -11,13 +11,13 @@ import resource
 import signal
 import sys
 
-from shoal.kernels import build as kernel_build
+from shoal.system.programs import end_with_parent
 
 
 def main() -> None:
     """Import the modules of the command line; end early where the process has grown beyond its limit (MB, the first
     argument): another one goes on with the rest."""
-    os.environ[kernel_build.WORKER] = "1"
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends whoever started it, and so this
     gc.set_threshold(20_000, 20, 20)  # a compiler makes many objects that stay: 4 % less time than at 700, for 20 MB
     from shoal.kernels import decorator as kernels
@@ -46,3 +46,7 @@ def _say(report: dict[str, object]) -> None:
         print(json.dumps(report), flush=True)
     except BrokenPipeError:  # whoever started this has been killed: with this process the lock is free
         os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

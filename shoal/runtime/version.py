@@ -1,8 +1,9 @@
 """SHELL: which code this is: the project's version and the commit of git, for logs, results and `--version`.
 
 Two runs can be compared only if one knows what flew them. From a work tree git says it, with a mark and a digest of what was
-changed since; in an installed package the build has written it down (setup.py); else it is "unknown". Imports the standard
-library only: the build runs this file by itself.
+changed since; in an installed package the build has written it down (setup.py); else, and where git could not be asked in
+time, it is "unknown", which is neither the same code as another nor different code. Imports the standard library only: the
+build runs this file by itself.
 """
 
 import hashlib
@@ -37,6 +38,11 @@ class Code:
         return f"{self.version} {head[:8]}{mark}{changes}"
 
 
+def are_known(*codes: str) -> bool:
+    """True if all of these commits, or texts of Code.short, say which code they are of; only then they can be compared."""
+    return not any(one.endswith(UNKNOWN) for one in codes)
+
+
 @cache
 def code() -> Code:
     """The code of this process. Asks git once."""
@@ -48,23 +54,37 @@ def code() -> Code:
 
 
 def commit(root: Path) -> str:
-    """The commit of the packages in a folder."""
-    return _of_work_tree(root) or _recorded(root) or UNKNOWN
+    """The commit of the packages in a folder. Where git has one and cannot say it now, as on a disk that takes too long, it is
+    unknown: what a build has left there may be of other code."""
+    try:
+        return (_of_work_tree(root) if _is_work_tree(root) else _recorded(root)) or UNKNOWN
+    except (OSError, subprocess.SubprocessError, UnicodeDecodeError):
+        return UNKNOWN
+
+
+def _is_work_tree(root: Path) -> bool:
+    """True if git has the packages in a folder (an environment may lie within somebody else's work tree). Raises
+    SubprocessError or OSError if it does not say."""
+    try:
+        _git(root, "ls-files", "--error-unmatch", "--", "shoal/runtime/version.py")
+    except FileNotFoundError:  # no git here
+        return False
+    except subprocess.CalledProcessError as error:
+        if error.returncode < 0:  # killed before it could say
+            raise
+        return False
+    return True
 
 
 def _of_work_tree(root: Path) -> str:
-    """Commit as git has it; empty where the folder is no work tree of it (an environment may lie within somebody else's)."""
-    try:
-        _git(root, "ls-files", "--error-unmatch", "--", "shoal/runtime/version.py")
-        head = _git(root, "rev-parse", "--verify", "HEAD").decode("ascii").strip()
-        changes = hashlib.sha256(_git(root, "diff", "HEAD", "--no-ext-diff", "--no-textconv", "--binary", "--", *PACKAGES))
-        unchanged = changes.hexdigest() == hashlib.sha256().hexdigest()
-        new = _git(root, "ls-files", "-z", "--others", "--exclude-standard", "--", *PACKAGES).split(b"\0")
-        for name in sorted(filter(None, new)):
-            changes.update(name + b"\0" + (root / os.fsdecode(name)).read_bytes())
-            unchanged = False
-    except (OSError, subprocess.SubprocessError, UnicodeDecodeError):
-        return ""
+    """Commit as git has it, with a mark where files differ from it. Raises SubprocessError or OSError if it does not say."""
+    head = _git(root, "rev-parse", "--verify", "HEAD").decode("ascii").strip()
+    changes = hashlib.sha256(_git(root, "diff", "HEAD", "--no-ext-diff", "--no-textconv", "--binary", "--", *PACKAGES))
+    unchanged = changes.hexdigest() == hashlib.sha256().hexdigest()
+    new = _git(root, "ls-files", "-z", "--others", "--exclude-standard", "--", *PACKAGES).split(b"\0")
+    for name in sorted(filter(None, new)):
+        changes.update(name + b"\0" + (root / os.fsdecode(name)).read_bytes())
+        unchanged = False
     return head if unchanged else f"{head}+changed.{changes.hexdigest()[:8]}"
 
 

@@ -167,8 +167,6 @@ def _fly(experiment: "Experiment", out: Path, options: "RunOptions", stop: Stop,
         f"{experiment.title or experiment.name}: {experiment.duration_s:g} s {how}; seed {experiment.seed}, into {folder}",
         soft_wrap=True,
     )
-    if options.page is not None:
-        console.print(f"operator page: http://{options.page}/", soft_wrap=True)
     if options.one_process:
         from sim_bridge.in_process import executor
 

@@ -13,6 +13,7 @@ import gc
 import logging
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -245,13 +246,21 @@ class Executor:
         self._frames_ns: tuple[int, ...] = ()  # of several cameras, stamps of the frames that were localized in
         self._agents: list[Part] = []
 
-    def fly(self, each_tick: Callable[[], None] = lambda: None, *, automatic: bool = True, page: str | None = None) -> bool:
+    def fly(
+        self,
+        each_tick: Callable[[], None] = lambda: None,
+        *,
+        automatic: bool = True,
+        page: str | None = None,
+        came_up: Callable[[], None] = lambda: None,
+    ) -> bool:
         """Fly to the end of the mission, or until `stop` is requested; `each_tick` is called after every control step, `page`
-        is where the operator's page is served (HOST:PORT). Returns whether the mission succeeded.
+        is where the operator's page is served (HOST:PORT), `came_up` is called when it is. Returns whether the mission
+        succeeded.
 
         Raises ConfigError if the station refuses the experiment, Failed with its name if a part of the run has ended.
         """
-        self._each_tick = each_tick
+        self._each_tick, self._came_up = each_tick, came_up
         cv2.setNumThreads(1)
         log_dir = self._run_dir / "logs"
         log_dir.mkdir(exist_ok=True)
@@ -281,6 +290,7 @@ class Executor:
         experiment = self._experiment
         self._station = part("groundstation")
         self._station.begin(lambda bus: self._cycles(bus, automatic, web))
+        self._came_up()
         for camera in () if self._poses else (*experiment.camera_names, ""):
             self._localizers[camera] = part(topics.localizer_name(camera))
             self._localizers[camera].begin(lambda bus, c=camera: self._localizer(bus, c))  # type: ignore[misc]
@@ -343,7 +353,8 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     log_file, succeeded = run_dir / "run.mcap", False
     try:
         with monitor.shown(console) as say:
-            succeeded = executor.fly(say, automatic=not options.manual, page=options.page)
+            print_address = partial(launcher.tell_page, options.page, console) if options.page is not None else lambda: None
+            succeeded = executor.fly(say, automatic=not options.manual, page=options.page, came_up=print_address)
     except (ConfigError, Failed) as error:
         launcher.print_error(console, str(error))
         if isinstance(error, ConfigError) and not log_file.exists():

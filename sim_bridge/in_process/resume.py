@@ -8,9 +8,11 @@ their own estimates were.
 
 import math
 import re
+import shlex
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -140,22 +142,25 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
 
 
 def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> tuple[Experiment, list[str]]:
-    """The experiment of a run with the changes, and a remark for each fault that is left out. Raises ConfigError.
+    """The experiment of a run with the changes, and remarks about the faults that are left out. Raises ConfigError.
 
     Faults that a person made during the run are made again. A fault of a camera or a board is left out: a flight that is
-    resumed from a logged moment has neither.
+    resumed from a logged moment has neither. The last remark is the command that has all of them.
     """
-    file = run / "experiment.toml"
-    absent = "from a logged moment on there is none"
-    faults, remarks = list[str](), list[str]()
-    for what, fault in faults_by_hand(run):
-        if fault_schedule.is_among(read_what(what), fault_schedule.NUMERIC):
-            faults.append(fault)
-        else:
-            remarks.append(f"left out, for {absent}: {fault}; to have it, fly sim-bridge sil {file} --fault '{fault}'")
+    file, absent = run / "experiment.toml", "from a logged moment on there is none"
+    faults, left_out = list[str](), list[str]()
+    made_by_hand = faults_by_hand(run)
+    for what, fault in made_by_hand:
+        (faults if fault_schedule.is_among(read_what(what), fault_schedule.NUMERIC) else left_out).append(fault)
     experiment = load_experiment(str(file), settings, [*faults, *more_faults])
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, absent)
-    return experiment, remarks
+    if not left_out:
+        return experiment, []
+    all_faults = [*(fault for _, fault in made_by_hand), *more_faults]
+    options = [*(("--set", setting) for setting in settings), *(("--fault", fault) for fault in all_faults)]
+    command = shlex.join(["sim-bridge", "sil", str(file), *chain.from_iterable(options)])
+    remarks = [f"left out, for {absent}: {fault}" for fault in left_out]
+    return experiment, [*remarks, f"to have all that was made by hand, fly {command}"]
 
 
 class _FaultByHand(NamedTuple):

@@ -16,7 +16,7 @@ from shoal.messages.codec import DecodeError, decode, encode
 from shoal.messages.messages import StepInputs
 from shoal.messages.topics import Topic
 from shoal.runtime import runtime
-from shoal.runtime.version import UNKNOWN, Code, code
+from shoal.runtime.version import UNKNOWN, Code, are_known, code
 from sim_bridge.replay.rerun import Rerun
 from sim_bridge.replay.step_diff import StepComparison, StepOutputs, compare
 
@@ -42,9 +42,11 @@ def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -
 
 
 def recorded_by_other_code(metadata: Mapping[str, str]) -> str:
-    """Text about a log that other code than this has recorded, by its metadata; empty if this has."""
+    """Text about a log that other code than this has recorded, or may have, by its metadata; empty if this has."""
     own, recorded = code(), Code(metadata.get("version", UNKNOWN), metadata.get("commit", UNKNOWN))
-    return f"the run was recorded by {recorded.short}, this is {own.short}: steps may differ" if recorded != own else ""
+    if recorded == own and are_known(own.commit):
+        return ""
+    return f"the run was recorded by {recorded.short}, this is {own.short}: steps may differ"
 
 
 def _rerun_one(log: LogFile, experiment: Experiment, robot: int, same: bool) -> StepComparison:

@@ -71,6 +71,8 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
             f"station: {address} (groundstation stop, mission, gains and end find it)", soft_wrap=True, highlight=False
         )
         station, came_up = _start_all(children, started, address, stop)
+        if came_up and options.page is not None and _listens(f"tcp/{options.page}", station, stop):
+            tell_page(options.page, console)
         if ring is not None:
             os.close(ring)  # the processes have it; it is gone with the last of them
         if came_up:
@@ -165,6 +167,11 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     for fault in experiment.sim.faults:
         console.print(f"it would break, at {fault.at_s:g} s: {fault.what}", soft_wrap=True, highlight=False)
     return 0
+
+
+def tell_page(address: str, console: Console) -> None:
+    """Print where the operator's page is. To be called when it answers there: people click at once."""
+    console.print(f"operator page: http://{address}/", soft_wrap=True)
 
 
 def print_error(console: Console, text: str) -> None:
@@ -274,7 +281,7 @@ def _written(file: Path) -> tuple[int, int] | None:
 
 
 def _listens(address: str, station: Child, stop: Stop) -> bool:
-    """Wait until something listens at the station's address. False if its program ends, or none does in time."""
+    """Wait until something listens at an address of the station's. False if its program ends, or none does in time."""
     _, host, port = parse_address(address)
     deadline = time.monotonic() + START_WITHIN_S
     while time.monotonic() < deadline and station.exit_code is None and not stop.requested:

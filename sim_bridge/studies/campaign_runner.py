@@ -26,7 +26,7 @@ from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import CAMPAIGN, check_named, check_output, replacing
 from shoal.runtime.runtime import Stop
-from shoal.runtime.version import UNKNOWN, code
+from shoal.runtime.version import are_known, code
 from shoal.system.regular_files import open_regular
 from sim_bridge import fault_schedule
 from sim_bridge.sil.commands import RunOptions, check
@@ -59,7 +59,9 @@ def run(
     rows: dict[int, dict[str, Any]] = {}
     is_whole = True  # what was flown is in the files
     try:
-        with Journal(journal) as kept, _executor(workers, scheduler) as executor:
+        with Journal(journal) as kept, _executor(workers, scheduler, console) as executor:
+            if kept.doubt:
+                console.print(kept.doubt, style="yellow", highlight=False, soft_wrap=True)
             console.print(
                 f"{campaign.title or campaign.name}: {total} flights, into {folder}", highlight=False, soft_wrap=True
             )
@@ -86,7 +88,8 @@ def run(
 
 
 class Journal:
-    """The file with a line for each finished flight, and its lock: one program at a time writes it."""
+    """The file with a line for each finished flight, and its lock: one program at a time writes it. `doubt` tells where it is
+    not known whether this code has flown what it holds."""
 
     def __init__(self, path: Path) -> None:
         """Raises ConfigError where another program writes it, or where other code has flown what it holds."""
@@ -99,11 +102,16 @@ class Journal:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             text = path.read_text(encoding="utf-8", errors="replace")
             self.rows = {row["hash"]: row for row in _rows(text) if row["status"] != "failed"}
-            for other in {str(row.get("commit", UNKNOWN)) for row in self.rows.values()} - {code().commit}:
-                raise ConfigError(
-                    f"{path}: holds flights of commit {other}, and this is {code().commit}: figures of two versions do not "
-                    "belong together (allowed: --resume with that commit, or --out DIR for another campaign)"
-                )
+            self.doubt = ""
+            for other in {str(row.get("commit", "")) for row in self.rows.values()}:
+                whose = f"{path}: holds flights of {f'commit {other}' if other else 'an earlier version'}"
+                if not are_known(other, code().commit):
+                    self.doubt = f"{whose}, and this is {code().commit}: nobody knows whether one version flies them all"
+                elif other != code().commit:
+                    raise ConfigError(
+                        f"{whose}, and this is {code().commit}: figures of two versions do not belong together "
+                        "(allowed: --resume with that commit, or --out DIR for another campaign)"
+                    )
             self._append(b"\n" if text and not text.endswith("\n") else b"")  # behind a line that was torn
         except BlockingIOError:
             self._file.close()
@@ -213,7 +221,7 @@ def _rows(journal: str) -> Iterator[dict[str, Any]]:
 
 
 @contextmanager
-def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
+def _executor(workers: int | None, scheduler: str | None, console: Console) -> Iterator[Executor]:
     """Processes on this machine, or a Dask cluster's workers behind the same interface."""
     if scheduler is None:
         with worker_pool(workers or os.cpu_count() or 1) as pool:
@@ -229,11 +237,11 @@ def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
         raise ConfigError(f"--scheduler {scheduler}: {error}") from None
     with client, client.get_executor(retries=1, pure=False) as cluster:
         for worker, commit in client.run(_commit).items():
-            if commit != code().commit:
-                raise ConfigError(
-                    f"--scheduler {scheduler}: its worker {worker} has commit {commit}, and this is {code().commit} "
-                    "(allowed: the same on all)"
-                )
+            which = f"--scheduler {scheduler}: its worker {worker} has commit {commit}, and this is {code().commit}"
+            if not are_known(commit, code().commit):
+                console.print(f"{which}: nobody knows whether that is the same", style="yellow", soft_wrap=True)
+            elif commit != code().commit:
+                raise ConfigError(f"{which} (allowed: the same on all)")
         yield cluster
 
 

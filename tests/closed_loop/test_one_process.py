@@ -73,12 +73,11 @@ def told(folder: Path) -> OnLocalized:
 
 
 def lines(folder: Path) -> set[tuple[str, str]]:
-    """Source and text of the events of a run, but for what they tell of the machine's time and of signatures."""
+    """Source and text of the events of a run, but for what they tell of signatures."""
     with (folder / "run.mcap").open("rb") as file:
         messages = make_reader(file).iter_messages(topics=[f"shoal/{topics.EVENT.key()}"])
         events = [decode(Event, message.data, "log", "event") for _, _, message in messages]
-    texts = [(event.source, re.sub(r"(^mission [\w ]+; the station ran for ).* s$", r"\1", event.message)) for event in events]
-    return {(source, text) for source, text in texts if "dropped for their signature" not in text}
+    return {(event.source, event.message) for event in events if "dropped for their signature" not in event.message}
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def begin(name: str, until_s: float, tmp_path: Path) -> None:
     assert flown_s == pytest.approx(until_s, abs=0.2)
     assert [check for check in result.checks if check.failed and check.name not in OF_A_WHOLE_PATH] == []
     if sees:
-        poses = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")}
+        poses = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")[0]}
         assert "lost" not in poses
         assert poses["all but lost"].max_mm < 60.0  # a fifth of the distance that robots keep
         assert poses["all but lost"].nees < 6.0  # 3 where the covariances are right

@@ -1,6 +1,7 @@
 """Every process of the experiment for real: own processes, own Zenoh sessions, MAVLink over UDP, rendered frames."""
 
 import io
+import itertools
 import json
 import os
 import re
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -30,6 +32,7 @@ from shoal.messages.messages import RobotState
 from shoal.runtime.runtime import Stop
 from sim_bridge.sil import commands, launcher
 from sim_bridge.sil.commands import Program, RunOptions
+from sim_bridge.sil.ports import free_port
 from sim_bridge.sil.processes import Child, Children
 from tests.forked import ended
 from tests.planted import executed, installed, plant
@@ -85,6 +88,22 @@ def test_a_lockstep_run_passes_and_leaves_what_it_promises(lockstep_run: tuple[P
     assert {"run.mcap", "experiment.toml", "result.json", "report.html"} <= {p.name for p in folder.iterdir()}
     assert load_experiment(str(folder / "experiment.toml")).seed == 2
     assert str(folder / "report.html") in output
+
+
+@pytest.mark.parametrize("processes", [(), ("--one-process",)], ids=["processes", "one-process"])
+def test_the_page_answers_at_its_address_from_when_that_is_printed(tmp_path: Path, processes: tuple[str, ...]) -> None:
+    """A person clicks on it at once."""
+    words = ["sil", "pool", "--manual", "--poses", *processes, "--web", f"127.0.0.1:{free_port()}", "--out", str(tmp_path)]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    run = subprocess.Popen([installed("sim-bridge"), *words], stdout=subprocess.PIPE, text=True, env=environment)
+    try:
+        assert run.stdout is not None
+        (address,) = itertools.islice((line.split()[-1] for line in run.stdout if line.startswith("operator page: ")), 1)
+        with urllib.request.urlopen(address) as page:
+            assert page.status == 200
+    finally:
+        run.terminate()
+        run.wait(300.0)
 
 
 def test_no_program_imports_from_the_working_folder(

@@ -46,7 +46,7 @@ def test_robots_fly_on_under_one_camera_when_the_other_is_bumped(tmp_path: Path)
     flown = [decode(RobotState, data, "test", key).mode for _, key, h, data in states() if begin_ns <= h.stamp_ns < over_ns]
     assert flown.count(Mode.TRACKING) >= 2 * 20 and set(flown) <= {Mode.TRACKING, Mode.DISARMED}
     assert len([0 for _, _, header, _ in poses() if header.stamp_ns > begin_ns]) > 2 * 20
-    rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")}
+    rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")[0]}
     assert rows["all but lost"].max_mm < 6.0 and rows["camera east"].max_mm > 50.0
 
 
@@ -64,7 +64,7 @@ def test_robots_cross_over_and_fly_on_when_the_camera_that_they_left_is_gone(tmp
     published = [decode(Pose, data, "test", key) for _, key, _, data in poses()]
     assert all(pose.track is Track.MARKER for pose in published)
 
-    rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")}
+    rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")[0]}
     assert rows["all but lost"].rms_mm < 2.0 and rows["all but lost"].nees < 3.5
     assert rows["seen by 1"].poses > 100 and rows["seen by 2"].poses > 100
     assert rows["step, hand-over"].poses >= 3 and rows["step, hand-over"].max_mm < 3.0

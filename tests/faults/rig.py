@@ -159,7 +159,9 @@ class Rig(Onlooker):
 
     def order(self, order: CommandKind, via: Sequence[tuple[float, float]] = ()) -> Reply:
         """A person's order for the whole fleet; `via`: where GO leads it, x and y in m."""
-        return self.bus.command(Command(order, robot=0, via=np.array(via).reshape(-1, 2)), time.time_ns(), ANSWERED_S)
+        return self.bus.command(
+            Command(order, robot=0, via=np.array(via).reshape(-1, 2)), time.monotonic_ns(), ANSWERED_S, to=0
+        )
 
     def fly(self) -> None:
         """From anywhere to all robots tracking, thrusters running."""

@@ -90,6 +90,7 @@ def load(path: Path) -> ctypes.CDLL:
         "board_measures": (ctypes.c_bool, [board, time_us]),
         "library_eeprom": (ctypes.POINTER(ctypes.c_uint8), []),
         "library_cut": (None, [ctypes.c_uint32, ctypes.c_uint8]),
+        "library_wear": (None, [u16, u16]),
         "library_store_bytes": (ctypes.c_uint32, []),
         "library_busy": (None, [ctypes.c_bool]),
         "board_measure": (None, [board, time_us, ctypes.POINTER(CReading)]),

@@ -317,6 +317,55 @@ def test_each_write_goes_to_the_next_place_of_its_area_and_to_no_other_byte(libr
     assert places == [1, 2, 3, 4, 5, 0, 1, 2, 3, 4][: len(places)] and len(places) == SLOTS + 4  # the first one twice
 
 
+@pytest.fixture
+def worn(library: ctypes.CDLL) -> Iterator[None]:
+    """A test may wear bytes of the memory."""
+    yield
+    library.library_wear(0, 0)
+
+
+@pytest.mark.usefixtures("worn")
+@pytest.mark.parametrize("places", [1, 3, STAMPS_SLOTS])
+def test_an_order_waits_until_a_place_that_is_not_worn_has_kept_its_timestamp(
+    library: ctypes.CDLL, keyed: bytes, places: int
+) -> None:
+    """Places of timestamps, from the next one on, have a byte that keeps what it has; with all worn nothing is obeyed."""
+    board = StoredBoard(library, keyed)
+    computer = OrderSender(board, 10_000)
+    computer.say(computer.link.arm(True))  # refused, as there is no override, but kept
+    board.go(40)
+    (newest,) = changed_places(keyed, board.eeprom, STAMPS_AT, SMALL, STAMPS_SLOTS)
+    all_of_them = places == STAMPS_SLOTS
+    first = 0 if all_of_them else newest + 1
+    library.library_wear(STAMPS_AT + first * SMALL + 2, STAMPS_AT + (first + places - 1) * SMALL + 3)
+    board.texts()
+    computer.say(computer.link.pulses(list(NEUTRAL)))
+    computer.say(computer.link.arm(True))
+    for passes in range(20 * SMALL * places):
+        if passes % 10 == 0:
+            computer.say(computer.link.pulses(list(NEUTRAL)))
+        board.go()
+        board.output()
+    assert board.armed is not all_of_them
+    assert ((2, "memory is worn: it keeps nothing") in board.texts()) is all_of_them
+    again = StoredBoard(library, board.eeprom)
+    for frame in computer.sent:
+        again.put(frame)
+        again.go(25)
+        assert not again.armed
+
+
+@pytest.mark.usefixtures("worn")
+def test_settings_go_on_to_a_place_that_keeps_them(library: ctypes.CDLL, keyed: bytes) -> None:
+    board = StoredBoard(library, b"\xff" * EEPROM_BYTES)
+    board.put(ParameterClient(1).set("SLEW_US_S", 900.0))
+    board.go(1200)
+    library.library_wear(2 * SLOT_BYTES, 4 * SLOT_BYTES)
+    board.put(ParameterClient(1).set("SLEW_US_S", 1234.0))
+    board.go(3000)
+    assert StoredBoard(library, board.eeprom).value("SLEW_US_S") == 1234.0
+
+
 def test_the_table_in_a_record_is_the_checksum_of_all_names(keyed: bytes) -> None:
     names = b"".join(row.name.encode().ljust(16, b"\0") for row in PARAMETERS.table)
     slot = next(slot for slot in range(SLOTS) if keyed[slot * SLOT_BYTES + 2] == 1)

@@ -1,14 +1,17 @@
 """Requests as a terminal makes them, how long it waits for each, and what it makes of the answers."""
 
 import math
+import time
 from typing import Any
 
 import pytest
 
 from groundstation import client
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
-from shoal.messages.codec import LONGEST_TEXT
+from shoal.messages.codec import LONGEST_TEXT, Header
 from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, Progress, Reply
 
 
@@ -122,3 +125,21 @@ def test_a_request_is_followed_to_its_end_over_lost_answers_and_a_stop_is_repeat
     assert followed(CommandKind.ARM, [silent])[:1] == (silent,)
     assert followed(CommandKind.STOP, [silent, silent], looks=1)[0] is silent
     assert followed(CommandKind.ARM, [under_way, under_way], looks=1)[0] is under_way
+
+
+@pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="the system has no clock that counts a machine's sleep")
+def test_requests_are_dated_by_a_clock_that_goes_on_while_the_machine_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A script that is open over night asks in the morning: by a clock that stood, a station elsewhere would take it for one
+    that was held up all night."""
+    hub, stamps = MemoryHub(), list[int]()
+
+    def handle(header: Header, command: Command) -> Reply:
+        stamps.append(header.stamp_ns)
+        return Reply(WHOLE_FLEET, True)
+
+    Bus(MemoryTransport(hub)).serve(WHOLE_FLEET, handle, expires=True)
+    send, slept_ns, since_boot = client.sender(Bus(MemoryTransport(hub))), 8 * 3600 * 10**9, time.clock_gettime_ns
+    assert send(Command(CommandKind.HOLD, WHOLE_FLEET)).accepted
+    monkeypatch.setattr(time, "clock_gettime_ns", lambda clock: since_boot(clock) + slept_ns * (clock == time.CLOCK_BOOTTIME))
+    assert send(Command(CommandKind.HOLD, WHOLE_FLEET)).accepted
+    assert stamps[1] - stamps[0] >= slept_ns

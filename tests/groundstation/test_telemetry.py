@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from groundstation.telemetry import LinkMonitor, RobotView, findings, first_lost_robot
+from groundstation.telemetry import LinkMonitor, RobotView, findings, first_lost_robot, other_code
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
@@ -71,6 +71,13 @@ def test_an_unheard_battery_is_not_reported_empty() -> None:
 def test_a_board_never_heard_is_reported_without_an_age(age_ms: float | None, board: BoardReading | None, text: str) -> None:
     view = RobotView(RobotState(timing=StepTiming(board_age_ms=age_ms), board=board), 0.02, None, 0.02)
     assert text in [finding.text for finding in findings(load_experiment("pool"), 1, view)]
+
+
+def test_code_that_is_not_known_is_not_taken_for_the_stations() -> None:
+    assert other_code("1.0 abc", "1.0 abc") == ""
+    assert "nobody knows" not in other_code("1.0 abd", "1.0 abc")
+    for other, own in (("1.0 unknown", "1.0 abc"), ("1.0 abc", "1.0 unknown"), ("1.0 unknown", "1.0 unknown")):
+        assert "nobody knows" in other_code(other, own)
 
 
 def test_a_robot_that_was_never_heard_has_no_mode() -> None:

@@ -1,6 +1,7 @@
 """Faults against what they do to water, sensors, pictures and links."""
 
 import itertools
+import shlex
 from collections import Counter
 from pathlib import Path
 
@@ -298,6 +299,12 @@ def test_a_fault_that_a_flight_from_a_logged_moment_cannot_have_is_said(tmp_path
         recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
     recorder.close()
     (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
-    experiment, (left_out,) = load_changed(tmp_path, [], [])
-    assert [fault.what for fault in experiment.sim.faults] == ["thruster 1/2 weak 0.4", "radio 1 dead", "water gust 0.1"]
-    assert f"fly sim-bridge sil {tmp_path / 'experiment.toml'} --fault 't=5.000 for=9 camera frozen'" in left_out
+    experiment, (left_out, again) = load_changed(tmp_path, ["seed=4"], ["t=7 imu 2 gyro 0.1"])
+    assert [fault.what for fault in experiment.sim.faults] == [
+        "thruster 1/2 weak 0.4", "radio 1 dead", "water gust 0.1", "imu 2 gyro 0.1"
+    ]  # fmt: skip
+    assert left_out.endswith("t=5.000 for=9 camera frozen")
+    command = ["sim-bridge", "sil", str(tmp_path / "experiment.toml"), "--set", "seed=4"]
+    for fault in (*made, "t=7 imu 2 gyro 0.1"):
+        command += ["--fault", fault]
+    assert shlex.split(again.partition(", fly ")[2]) == command

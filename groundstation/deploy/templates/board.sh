@@ -50,8 +50,8 @@ if [ -f "$in/init.args" ]; then
     set --
     while IFS= read -r argument; do set -- "$@" "$argument"; done <"$in/init.args"
     [ ! -f agent.toml ] || cp -p agent.toml agent.toml.before
-    venv/bin/robot-agent init "$@" --out agent.toml.next >/dev/null
-    mv agent.toml.next agent.toml
+    venv/bin/robot-agent init "$@" --out "$in/agent.toml" >/dev/null # it names itself in its text
+    mv "$in/agent.toml" agent.toml
 fi
 
 if [ -d /run/systemd/system ]; then

@@ -87,6 +87,33 @@ def test_of_two_flights_the_last_is_judged_alone(flown: tuple[Experiment, RunLog
     assert both.notes[0].startswith("The log holds 2 flights. This is a report of number 2 alone")
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("START asked for", "mission: aborting: robot 2 does not follow ARM", "mission: failed"),
+         ", and nobody flew: aborting: robot 2 does not follow ARM."),
+        (("START asked for", "mission: loading trajectories"), ", and nobody flew."),
+        (("TEST asked for", "mission: failed"), None),
+        (("START refused: robot 2: not heard",), None),
+    ],
+)  # fmt: skip
+def test_a_start_by_which_nobody_flew_is_said_in_the_report_of_the_flight_before(
+    flown: tuple[Experiment, RunLog, Path], words: tuple[str, ...], sentence: str | None
+) -> None:
+    experiment, log, _ = flown
+    kept, last_ns = log.of(topics.EVENT, Event), log.of(topics.STATE, RobotState, 1)[-1].stamp_ns
+    stamps = [last_ns + k * SECOND for k in range(1, len(words) + 1)]
+    events = [
+        DecodedMessage(ns, ns, k, Event(2, "groundstation", text))
+        for k, (ns, text) in enumerate(zip(stamps, words, strict=True))
+    ]
+    result = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.EVENT.name, 0): [*kept, *events]}))
+    assert result.passed, "the flight is judged by itself"
+    sentences = [note for note in result.notes if "another start was asked for" in note]
+    assert len(sentences) == (sentence is not None)
+    assert all(note.endswith(str(sentence)) for note in sentences)
+
+
 def test_the_flight_that_was_aborted_can_be_asked_for(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     result = result_of(experiment, with_aborted_flight(log, 4.0), flight=1)

@@ -35,6 +35,7 @@ def test_without_a_pattern_every_key_is_told_with_its_range_and_default() -> Non
     assert len(entries) > 200
     horizon = entries["controller.mpc.horizon"]
     assert (horizon["allowed"], horizon["default"], horizon["live"]) == (">= 2 and <= 200", "50", False)
+    assert (entries["pool.size_m"]["type"], entries["pool.size_m"]["allowed"]) == ("list of 3 numbers", "each > 0")
     text = CliRunner().invoke(cli, ["keys-of", r"mpc\.q$"]).stdout
     assert "controller.mpc.q  (live)" in text and "--set controller.mpc.q=[" in text
 

@@ -76,6 +76,13 @@ def test_a_result_with_other_types_is_listed_as_far_as_it_can_be_read(tmp_path: 
     assert (row["experiment"], row["duration_s"], row["tags"], row["verdict"]) == ("3", 0.0, [], "no result")
 
 
+def test_a_run_whose_length_is_not_known_yet_has_none_in_the_list(runs: Path) -> None:
+    lines = CliRunner().invoke(cli, ["log", "list", "--in", str(runs)]).stdout.splitlines()
+    assert [" 40 s " in line for line in lines] == [True, True, False, False]
+    assert not any(" 0 s " in line for line in lines)
+    assert len({line.index(" MB") for line in lines}) == 1, "the columns stand below one another"
+
+
 def test_every_word_narrows_the_list(runs: Path) -> None:
     assert [Path(run["run"]).name for run in listed(runs, "POOL", "failed", "simulated")] == ["first"]
     done = CliRunner().invoke(cli, ["log", "list", "--in", str(runs), "nothing-like-this"])

@@ -207,6 +207,7 @@ def test_a_bare_board_is_brought_up_to_date_and_then_left_alone(board: SshBoard,
     assert sorted(path.name for path in (board.home / "keys").iterdir()) == ["agent-1"]  # nobody else's
     assert load_experiment(str(board.home / "experiment.toml")).hash == load_experiment("pool").hash
     assert not (board.home / "incoming").exists()
+    assert "--config agent.toml`" in (board.home / "agent.toml").read_text(), "it names the file that it is"
     output = board.run(f"{board.home}/venv/bin/robot-agent check --config {board.home}/agent.toml --json || true")
     checks = {finding["what"]: finding["verdict"] for finding in json.loads(output[output.index("[") :])}
     assert (checks["experiment"], checks["certificate"], checks["station"]) == ("ok", "ok", "fail")  # there is no station

@@ -7,7 +7,9 @@ import av
 import numpy as np
 import pytest
 from PIL import ImageDraw
+from typer.testing import CliRunner
 
+from groundstation.__main__ import cli
 from groundstation.export.film import write_film
 from groundstation.logs.recorder import Recorder
 from localizer.view.video_encoder import packer
@@ -107,6 +109,17 @@ def test_a_picture_that_cannot_be_decoded_costs_no_other(tmp_path: Path) -> None
     path = _filmed(tmp_path, [(10**11 + k * EVERY_NS, 9, b"\0\0\1\x65no picture" if k == 3 else None) for k in range(8)])
     assert write_film(tmp_path, path) == (7, 1)
     assert [time_s for time_s, _ in _brightness(path)] == [0.0, 0.05, 0.1, 0.2, 0.25, 0.3, 0.35]
+
+
+def test_a_film_that_lacks_pictures_says_so_and_ends_with_code_1(tmp_path: Path) -> None:
+    path = _filmed(tmp_path, [(10**11 + k * EVERY_NS, 9, b"\0\0\1\x65no picture" if k == 3 else None) for k in range(8)])
+    done = CliRunner().invoke(cli, ["log", "export", str(tmp_path), "--video", str(path)])
+    assert done.exit_code == 1 and "1 pictures of the log cannot be decoded, and are left out" in done.stderr
+    log = tmp_path / "run.mcap"
+    whole = log.read_bytes()
+    log.write_bytes(whole[: whole.index(b"recorder") - 20])
+    done = CliRunner().invoke(cli, ["log", "export", str(tmp_path), "--video", str(path)])
+    assert done.exit_code == 1 and "Cut log: run.mcap ends before its run does" in done.stderr
 
 
 def test_a_log_that_begins_between_two_key_pictures_is_filmed_from_the_next(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.config.loader import parse_toml
 from shoal.errors import ConfigError
 from shoal.messages.messages import CommandKind, Mode, Progress
-from tests.groundstation.mission.simulated_fleet import SimulatedFleet
+from tests.groundstation.mission.simulated_fleet import PLACES, THREE, SimulatedFleet, an_experiment
 
 CIRCLE = '[path]\nkind = "circle"\ndiameter_m = 1.0\nlap_s = 60.0\ndepth_m = 0.3\n'
 
@@ -116,6 +116,57 @@ def test_from_a_hold_another_path_is_flown_and_its_start_is_the_way_back(fleet: 
     until(fleet, MissionState.DONE, 90.0)
     for robot, trajectory in first_segment(flown).trajectories.items():
         assert np.allclose(fleet.robots[robot].eta[:3], trajectory.eta[0, :3], atol=0.05)
+
+
+APART = THREE.replace("0.9", "1.3")
+BESIDE = '{kind="waypoints",points_m=[[0.4,-0.6],[1.4,-0.6],[1.4,0.0]],speed_mps=0.1,depth_m=0.4}'
+
+
+@pytest.mark.parametrize(
+    ("when", "lost", "slots"),
+    [
+        ("planned", 3, {1: 1, 2: 2}),
+        ("planned", 1, None),
+        ("before the way home", 1, None),
+        ("before the way home, taken out", 1, None),
+        ("on the way home", 1, None),
+        ("on the way home, taken out", 2, None),
+        ("planned on the way home", 1, None),
+    ],
+)
+def test_another_path_is_flown_without_the_gap_of_a_lost_robot(when: str, lost: int, slots: dict[int, int] | None) -> None:
+    """It is lost before, or while the way to the path is planned: the others close up, and fly what was asked for."""
+    fleet = SimulatedFleet(an_experiment("close-up", APART, PLACES))
+    wanted = dump_experiment(an_experiment("close-up", APART, BESIDE, 12)).replace('name = "pool"', 'name = "beside"')
+
+    def loses(moment: str, wait_s: float) -> None:
+        if when.partition(",")[0] == moment:
+            fleet.robots[lost].alive = False
+            fleet.run(wait_s)
+
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    fleet.run(6.0)
+    loses("before the way home", 15.0)
+    if "home" in when:
+        assert ask(fleet, CommandKind.RETURN) == ""
+        until(fleet, MissionState.RETURNING, 30.0)
+        fleet.run(2.0)
+        loses("on the way home", 2.0)
+    if fleet.mission.state is not MissionState.PAUSED:
+        assert ask(fleet, CommandKind.HOLD) == ""
+        fleet.run(3.0)
+    if when.endswith("taken out"):
+        fleet.mission.note_water(lost, True)
+    loses("planned", 0.2)  # not noticed yet
+    loses("planned on the way home", 0.2)
+    assert ask(fleet, CommandKind.PATH, wanted) == ""
+    while newest(fleet)[0] is Progress.UNDER_WAY:
+        fleet.step()
+    assert newest(fleet)[0] is Progress.DONE, newest(fleet)
+    assert fleet.mission.plans.flown.name == "beside"
+    assert set(fleet.mission.roster.slots_in_use().values()) == {1, 2}
+    assert slots is None or fleet.mission.roster.slots_in_use() == slots
 
 
 def test_a_request_reads_its_experiment_once(fleet: SimulatedFleet, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -153,6 +153,25 @@ def test_hold_is_done_when_every_robot_rests_in_its_place_and_in_waves_after_a_w
     assert lab.progress(again) is Progress.DONE
 
 
+@pytest.mark.parametrize("silent", [True, False])
+def test_hold_does_not_wait_for_a_lost_robot_that_moves_no_more(silent: bool) -> None:
+    """A robot in fault, and one that has been silent for so long that it has no power, whatever it reported last."""
+    fleet = SimulatedFleet(an_experiment("go-on", THREE, CIRCLE))
+    fleet.run(1.0)
+    assert fleet.core.request(CommandKind.START, fleet.fleet, fleet.now_ns)[0] == ""
+    fleet.run(8.0)
+    robot = fleet.robots[2]
+    robot.alive = not silent
+    if not silent:
+        robot.mode, robot.fault = Mode.FAULT, "a thruster"
+    fleet.run(8.0)
+    assert set(fleet.mission.roster.lost) == {2}
+    _, number = fleet.core.request(CommandKind.HOLD, fleet.fleet, fleet.now_ns)
+    fleet.run(10.0)
+    outcome = fleet.core.requests.outcome(number)
+    assert isinstance(outcome, Outcome) and (outcome.progress, outcome.confirmed) == (Progress.DONE, (1, 3))
+
+
 def test_a_stop_is_confirmed_robot_by_robot() -> None:
     lab = Asked()
     lab.fly()

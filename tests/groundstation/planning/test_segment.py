@@ -257,7 +257,8 @@ def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_co
         assert first_contact(BLOCKED, segment, 15.0, 40.0, np.array([[1.0, 0.0, 0.15]])) == ""  # gone by
         for x in (-0.3, 2.3):  # behind its start, and behind its goal
             assert first_contact(BLOCKED, segment, 0.0, 25.0, np.array([[x, 0.0, 0.15]])) == ""
-        assert first_contact(BLOCKED, segment, 0.0, 25.0, np.array([[0.3, 0.0, 0.15]])) != ""  # it would run through it
+        for x in (0.3, 2.2):  # it would run through one, and into one that came to lie on its goal
+            assert first_contact(BLOCKED, segment, 0.0, 25.0, np.array([[x, 0.0, 0.15]])) != ""
         assert first_contact(BLOCKED, segment, 0.0, 25.0, NO_OBSTACLES) == ""
 
 

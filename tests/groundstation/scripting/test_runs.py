@@ -38,3 +38,11 @@ def test_a_table_that_there_is_not_is_refused(run: FlownRun, topic: str, robot: 
 def test_a_folder_without_a_log_is_no_run(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no run\.mcap there"):
         open_run(tmp_path)
+
+
+def test_a_table_of_a_cut_log_warns(run: FlownRun, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    whole = (run.folder / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(whole[: whole.index(b"recorder") - 20])
+    (tmp_path / "experiment.toml").write_bytes((run.folder / "experiment.toml").read_bytes())
+    assert len(open_run(tmp_path).table("state", robot=2)["time_s"]) > 100
+    assert "Cut log: run.mcap ends before its run does" in caplog.text

@@ -62,7 +62,7 @@ def test_the_stop_gets_through_while_the_terminal_is_stopped(tmp_path: Path) -> 
         os.write(person, b"\x13")  # Ctrl-S
         with Bus(ZenohTransport(Endpoint(address))) as bus:
             for order in (CommandKind.HOLD, CommandKind.STOP):
-                reply = bus.command(Command(order, 0), time.time_ns(), 20.0)
+                reply = bus.command(Command(order, 0), time.monotonic_ns(), 20.0, to=0)
                 assert not reply.silent
             assert reply.accepted
         os.write(person, b"\x11")  # Ctrl-Q

@@ -33,7 +33,7 @@ from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station
 from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
 from shoal.bus.access_control import INSECURE
-from shoal.bus.bus import Bus, Inbox, Received
+from shoal.bus.bus import HELD_UP, Bus, Inbox, Received
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
 from shoal.messages import topics
@@ -58,6 +58,7 @@ from shoal.messages.messages import (
     StepTiming,
     Track,
     Trajectory,
+    Tuning,
 )
 from shoal.runtime.runtime import Stop, WallClock, run_steps, wait
 from shoal.runtime.version import code
@@ -610,6 +611,40 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
         stop = operator.command(Command(CommandKind.STOP, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
         assert stop.outcome is not None
         fleet.until(station, lambda: set(fleet.modes.values()) == {Mode.STOPPED})
+
+
+def test_a_station_whose_cycle_stands_still_does_not_do_later_what_nobody_waits_for(tmp_path: Path) -> None:
+    hub, begun, replies = MemoryHub(), threading.Event(), list[Reply]()
+    load, gains = Command(CommandKind.LOAD, WHOLE_FLEET), Command(CommandKind.TUNE, WHOLE_FLEET, tuning=Tuning(""))
+    with a_station(tmp_path, hub) as station:
+
+        def serve(header: Header, command: Command) -> Reply:
+            begun.set()
+            return station.on_operator_command(header, command)
+
+        station.bus.serve(WHOLE_FLEET, serve, expires=True)
+        operator = Bus(MemoryTransport(hub))
+
+        def ask(command: Command, timeout_s: float) -> None:
+            replies.append(operator.command(command, time.monotonic_ns(), timeout_s, to=WHOLE_FLEET))
+
+        def ask_while_it_stands(command: Command, waits_s: float) -> None:
+            begun.clear()
+            asking = threading.Thread(target=ask, args=(command, waits_s))
+            with station.lock:
+                asking.start()
+                begun.wait(PATIENCE_S)
+                time.sleep(waits_s)
+            asking.join()
+
+        ask(gains, PATIENCE_S)
+        for command in (load, gains):
+            ask_while_it_stands(command, 1.0)
+        assert [reply.reason for reply in replies] == ["there is nothing to undo", HELD_UP, HELD_UP]
+        assert station.mission.state is MissionState.WAITING
+        ask(load, PATIENCE_S)
+        ask_while_it_stands(Command(CommandKind.DISARM, WHOLE_FLEET), 0.1)
+        assert [reply.accepted for reply in replies[3:]] == [True, True]
 
 
 @pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.TRACKING, Mode.STOPPED])

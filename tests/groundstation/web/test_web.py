@@ -396,6 +396,13 @@ def test_an_edit_that_changes_nothing_gives_the_flown_paths() -> None:
     assert value(tried, "speed") == pytest.approx(0.45 / 2 * 2 * np.pi / 100, rel=1e-6)
 
 
+def test_an_edited_experiment_no_longer_has_the_title_of_what_it_was() -> None:
+    once = experiment_editor.edited(POOL, protocol.Edit(diameter_m=0.6))
+    assert once.title == f"{POOL.title}, edited"
+    assert experiment_editor.edited(once, protocol.Edit(diameter_m=0.7)).title == once.title, "said once"
+    assert experiment_editor.edited(POOL, protocol.Edit()).title == POOL.title
+
+
 def test_an_edit_that_cannot_be_flown_says_why_and_still_shows_the_path() -> None:
     tried = experiment_editor.attempt(POOL, protocol.Edit(nodes_m={1: (0.1, 0.0, 0.0)}))
     assert not tried["ok"]

@@ -40,7 +40,7 @@ def test_a_log_is_evaluated_by_one_clock_whatever_its_senders_clocks_show(
         put(topics.LOCALIZER, "localizer/status", LocalizerStatus(frame_age_ms=LATE_MS), at_ms, localizer_s, 9, LATE_MS)
     recorder.close()
     assert recorder.error == ""
-    rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")}
+    rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")[0]}
     assert rows["robot 1"].poses > 200 and rows["robot 1"].max_mm < 5.0
 
 
@@ -70,6 +70,6 @@ def test_which_cameras_saw_a_robot_does_not_depend_on_their_clocks(
             status = LocalizerStatus(frame_age_ms=LATE_MS)
             put(topics.LOCALIZER.of_camera(name), None, status, exposed_ms, 7 + number, clock_s, late_ms)
     recorder.close()
-    rows = {row.subject: row.poses for row in evaluate_log(tmp_path / "run.mcap")}
+    rows = {row.subject: row.poses for row in evaluate_log(tmp_path / "run.mcap")[0]}
     assert "seen by 0" not in rows and rows["step, hand-over"] == 1
     assert abs(rows["seen by 1"] - 120) <= 2 and abs(rows["seen by 2"] - 120) <= 2

@@ -160,8 +160,8 @@ def test_a_log_that_was_cut_counts_as_far_as_it_goes(tmp_path: Path) -> None:
     record(whole, steps=2000)
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     done = CliRunner().invoke(cli, ["evaluate", str(cut)])
-    assert done.exit_code == 0, (done.output, done.exception)
-    assert "robot 2" in done.output
+    assert done.exit_code == 1, (done.output, done.exception)
+    assert "robot 2" in done.stdout and f"{cut}: was cut, and what lies behind is not evaluated" in done.stderr
 
 
 # --- a plain video

@@ -412,8 +412,12 @@ def test_a_recording_that_was_cut_counts_as_far_as_it_goes(recording: Path, tmp_
     (cut / "experiment.toml").write_bytes((recording / "experiment.toml").read_bytes())
     whole = (recording / FRAMES).read_bytes()
     (cut / FRAMES).write_bytes(whole[: int(0.6 * len(whole))])
-    rows = json.loads(_run("rerun", str(cut), "--json"))
-    assert all(10 <= row["poses"] < RECORDED - 1 and row["differing"] == 0 for row in rows)
+    done = CliRunner().invoke(cli, ["rerun", str(cut), "--json"])
+    assert done.exit_code == 1 and f"{cut / FRAMES}: was cut, and ends after " in done.stderr
+    assert all(10 <= row["poses"] < RECORDED - 1 and row["differing"] == 0 for row in json.loads(done.stdout))
+    done = CliRunner().invoke(cli, ["track", str(cut), "--out", str(tmp_path / "poses.csv")])
+    assert done.exit_code == 1 and f"{cut / FRAMES}: was cut, and ends after " in done.stderr
+    assert 20 <= len(_rows(tmp_path / "poses.csv")) < 2 * (RECORDED - 1)
     (cut / FRAMES).write_bytes(whole[:100])
     assert "no recording of frames" in str(CliRunner().invoke(cli, ["rerun", str(cut)]).exception)
 
@@ -446,6 +450,27 @@ def test_a_disk_that_vanishes_or_blocks_ends_the_recording_and_not_the_poses(
     answers.set()
     assert "stuck ends: the disk is too slow, or does not answer" in caplog.text
     assert "the disk does not answer; its last frames and its end are missing" in caplog.text
+
+
+def test_a_recording_of_a_disk_that_was_too_slow_says_that_frames_are_missing(tmp_path: Path) -> None:
+    """All that was waiting then is written, in order, and read again."""
+    answers = threading.Event()
+
+    def slow(folder: Path) -> int:
+        answers.wait()
+        return 10**12
+
+    recorder = FrameRecorder(tmp_path / "slow", EXPERIMENT, free_bytes=slow, patience_s=60.0)
+    pixels = np.zeros(EXPERIMENT.camera.size_px[::-1], np.uint8)
+    for k in range(200):
+        recorder.put(RecordedFrame(pixels, k, k))
+    answers.set()
+    recorder.close()
+    assert "the disk is too slow" in recorder.failure
+    damage = list[str]()
+    stamps_ns = [frame.stamp_ns for frame in recorded_frames(tmp_path / "slow", damage)]
+    assert stamps_ns == list(range(len(stamps_ns))) and 0 < len(stamps_ns) < 200
+    assert f"was cut, and ends after {len(stamps_ns)} frames" in damage[0]
 
 
 def test_frames_that_could_not_be_read_again_are_not_recorded(tmp_path: Path) -> None:

@@ -70,6 +70,17 @@ def test_the_film_begins_with_the_first_whole_picture_and_ends_where_the_clock_g
     film.close()
 
 
+def test_the_film_of_a_cut_log_ends_where_it_was_cut_and_says_so(tmp_path: Path) -> None:
+    log = _logged(tmp_path, [(BEGIN_NS + k * EVERY_NS, False) for k in range(PICTURES)])
+    log.write_bytes(log.read_bytes()[: -log.stat().st_size // 3])
+    first_ns, damage = film_of_log(log, "", tmp_path / "film.mkv")
+    assert first_ns == BEGIN_NS and damage.startswith(f"{log}: was cut, and the film ends there: ")
+    film = VideoReader(tmp_path / "film.mkv")
+    stamps_ns = [picture.stamp_ns for picture in film.pictures()]
+    assert 2 <= len(stamps_ns) <= PICTURES and stamps_ns == [k * EVERY_NS for k in range(len(stamps_ns))]
+    film.close()
+
+
 @pytest.mark.parametrize("pictures", [[(BEGIN_NS, False)] * 4, [(0, False), (BEGIN_NS, False), (BEGIN_NS + EVERY_NS, False)]])
 def test_a_log_of_which_no_film_can_be_made_is_refused(tmp_path: Path, pictures: list[tuple[int, bool]]) -> None:
     with pytest.raises(ConfigError, match="holds no film"):

@@ -185,6 +185,7 @@ def test_the_way_out_changes_to_its_course_steadily(seed: int) -> None:
 def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
     random, place, velocity, traffic, within_s = scene(seed)
     wanted, (there, going, keep_m, sided, way) = 0.1 + 0.02j, traffic
+    pace = 0.08 * np.exp(1j * seed) if seed % 2 else 0.0
     ahead = np.asarray(wanted * LOOKS_S, np.complex128)
     room, islands, islands_keep_m = (1.0, 0.6), places(random, 1.0, 2), np.array([0.3, 0.2])
     meets = np.empty(7, bool)
@@ -197,9 +198,11 @@ def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
 
     fan, counts = make_fan(), within_s > 0.0
     chosen = nearest_free(
-        Motion(place, wanted, velocity), traffic, within_s, sided, fan, Basin(*room, islands, islands_keep_m)
+        Motion(place, wanted, velocity, complex(pace)), traffic, within_s, sided, fan, Basin(*room, islands, islands_keep_m)
     )
+    along = pace / max(abs(pace), 1e-12)
     ways, now = wanted * fan.turn, velocity - going
+    ways = ways - np.maximum(dot(along, ways) - max(dot(along, wanted), abs(pace)), 0.0) * along
     closing = ways[:, None] - going
     side = np.where(cross(now, away) > WELL_CLEAR * keep * np.abs(now), 1.0, -1.0)
     wrong = sided & (cross(closing, away) * side < 0.0)

@@ -132,6 +132,19 @@ def test_overtaken_robot_goes_on_and_the_other_passes_around() -> None:
     assert np.abs(track[:, 1].imag).max() < 0.05 and np.abs(track[:, 0].imag).max() > 0.6
 
 
+@pytest.mark.parametrize(("speed_mps", "slower", "aside_m"), [(0.101, 0.44, -0.093), (0.1, 0.5, 0.2), (0.1776, 0.454, 0.03)])
+def test_robot_that_overtakes_stays_beside_its_reference(speed_mps: float, slower: float, aside_m: float) -> None:
+    """It cannot be back before its reference has passed too. Ahead of that it would circle around the other robot."""
+    points = [Point(-3.0 + 1j * aside_m, 5.0 + 1j * aside_m, speed_mps), Point(-1.6, 3.0, speed_mps * slower)]
+    _, track = fly(points, 42.0)
+    time_s = PERIOD_S * np.arange(1, len(track) + 1)
+    assert (track[:, 0].real - points[0].start.real - speed_mps * time_s).max() < 0.05
+    off_m = abs(track[:, 0] - points[0].start - speed_mps * time_s)
+    away_s = PERIOD_S * np.count_nonzero(off_m > 0.05)
+    passing_s = 2.0 * math.sqrt(KEEP_M**2 - aside_m**2) / (speed_mps * (1.0 - slower))
+    assert off_m.max() < KEEP_M + abs(aside_m) + 0.1 and away_s < passing_s + 8.0
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.0, 6.28), st.floats(0.61, 3.0), st.floats(-0.009, 0.009), st.floats(0.0, 0.3))
 def test_robots_in_formation_are_given_back_their_own_path(angle: float, apart: float, drift: float, speed: float) -> None:

@@ -163,6 +163,8 @@ def test_clocks_and_times_are_judged_by_their_limits() -> None:
     codes = [findings.same_code(stations, "1.0 abc") for stations in ("1.0 abc", "1.0 abd", "")]
     assert [finding.verdict for finding in codes] == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.WARN]
     assert "1.0 abc" in codes[1].detail and "1.0 abd" in codes[1].detail
+    unknown = findings.same_code("1.0 unknown", "1.0 unknown")
+    assert unknown.verdict is CheckVerdict.WARN and "nobody knows" in unknown.detail
     verdicts = [findings.timing(p50, p99, 0.05, 1).verdict for p50, p99 in ((1, 24), (1, 26), (26, 30))]
     assert verdicts == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.FAIL]
     assert findings.exit_code([CheckFinding("a", CheckVerdict.WARN, ""), CheckFinding("b", CheckVerdict.SKIPPED, "")]) == 0
@@ -442,11 +444,11 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
     assert results["clock"][0] == "ok"
     assert results["code"][0] == "warn" and "an earlier version" in results["code"][1], "this one's heartbeat says no code"
     assert [results[f"{part} {i}"][0] for part in ("thruster", "ankle") for i in (1, 2, 3, 4)] == ["ok"] * 8
-    answers = "y\n" + "y\ny\n" * 4 + "y\nn\n" + "n\n" + "y\ny\n" * 2  # ankle 1 is seen to move wrongly, 2 is left out
+    answers = "y\n" + "y\ny\n" * 4 + "y\n\nn\n" + "n\n" + "y\ny\n" * 2  # ankle 1 is seen to move wrongly, 2 is left out
     person = CliRunner().invoke(cli, ["check", "--config", str(site / "agent.toml"), "--thrusters", "--json"], input=answers)
     rows = {row["what"]: row for row in json.loads(person.stdout[person.stdout.index("[\n") :])}
     assert [rows[f"thruster {i}"]["detail"][-6:] for i in (1, 2, 3, 4)] == ["; seen"] * 4
-    assert [rows[f"ankle {i}"]["verdict"] for i in (1, 2, 3, 4)] == ["fail", "skipped", "ok", "ok"]
+    assert [rows[f"ankle {i}"]["verdict"] for i in (1, 2, 3, 4)] == ["fail", "skipped", "ok", "ok"], "Enter alone is no answer"
     assert "  3 [*]----'-----'----[ ] 4" in person.stderr
     assert "thruster 3, rear left, turns slowly and pushes ahead" in person.stderr
     assert checked(site)[1]["thrusters"][0] == "skipped"

@@ -1,5 +1,6 @@
 """A thruster's curve from a kitchen scale: bad rows, the fit against a known curve, and the curve on a board."""
 
+import re
 import tomllib
 from pathlib import Path
 from socket import SOCK_DGRAM
@@ -43,6 +44,12 @@ def test_fitted_curve_is_the_thrusters_within_the_scales_noise() -> None:
     assert max(off) < 0.05, "N; the scale is 0.01 N off, and twelve points are a little less than the whole"
     assert result.rms_n < 0.03
     assert np.all(np.diff(result.curve, axis=0)[:, 0] > 0) and np.all(np.diff(result.curve, axis=0)[:, 1] >= 0)
+
+
+def test_the_readings_in_the_manual_are_enough() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "hardware.md").read_text(encoding="utf-8")
+    (readings,) = re.findall(r"^pulse_us,grams\n[^`]+", page, re.MULTILINE)
+    assert len(fit(read_rows(readings.splitlines(), "scale.csv"), "scale.csv", 12, 0.03).curve) >= 4
 
 
 @pytest.mark.long

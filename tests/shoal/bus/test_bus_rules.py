@@ -182,6 +182,89 @@ def test_the_second_try_names_the_process_that_answered_the_first() -> None:
     assert robot.answer("shoal/robot/1/command", b"\xff", b"") is not None
 
 
+class _HeldWire(_Wire):
+    """A network on which queries can be held up: nobody hears of them before `deliver`."""
+
+    def __init__(self, hub: MemoryHub, reaches: Bus) -> None:
+        super().__init__(hub)
+        self._reaches, self.holds, self.held = reaches, False, list[tuple[str, bytes, bytes]]()
+
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
+        if not self.holds:
+            return super().ask(key, payload, header, timeout_s)
+        self.held.append((key, payload, header))
+        return lambda: time.sleep(timeout_s)
+
+    def deliver(self) -> list[Reply]:
+        """Let what was held up reach the recipient, in its order."""
+        held, self.held = self.held, []
+        answers = [self._reaches.answer(*query) for query in held]
+        return [decode(Reply, answer, "", "") for answer in answers if answer is not None]
+
+
+ON_THE_MOVE = ("START", "RESUME", "RETURN", "FORMATION", "TEST", "GO", "PATH", "ARM", "TUNE", "END", "HOLD")
+
+
+@pytest.mark.parametrize("order", ON_THE_MOVE)
+@pytest.mark.parametrize("is_met", [True, False])
+def test_a_request_that_was_held_up_until_its_sender_gave_up_is_not_done(order: str, is_met: bool) -> None:
+    """A station that stood still and goes on must not do what nobody waits for: that may start robots."""
+    hub, done = MemoryHub(), list[CommandKind]()
+    station, _ = _bus(hub)
+
+    def handle(header: Header, command: Command) -> Reply:
+        done.append(command.order)
+        return Reply(0, True)
+
+    station.serve(0, handle, expires=True)
+    wire = _HeldWire(hub, station)
+    terminal, wanted = Bus(wire), CommandKind[order]
+
+    def ask(kind: CommandKind, timeout_s: float) -> Reply:
+        return terminal.command(Command(kind, 0), time.monotonic_ns(), timeout_s, to=0)
+
+    if is_met:  # a script that has asked for something before
+        assert ask(CommandKind.LOAD, 60.0).accepted
+    wire.holds = True
+    assert ask(wanted, 0.3).silent
+    assert ask(CommandKind.STOP, 0.1).silent
+    assert ask(CommandKind.NONE, 0.1).silent
+    late, stop, query = wire.deliver()
+    assert not late.accepted
+    assert not is_met or "nobody waits for it any more" in late.reason
+    assert stop.accepted, "it only takes power away"
+    assert query.accepted is is_met
+    assert wanted not in done
+    wire.holds = False
+    assert ask(wanted, 60.0).accepted, "asked for again"
+    assert done[-1] is wanted
+
+
+def test_a_request_of_a_terminal_whose_first_word_came_late_lives_no_longer_than_it_waits() -> None:
+    """The recipient measures from the first word; the sender knows how long that took."""
+    hub, done = MemoryHub(), list[CommandKind]()
+    station, _ = _bus(hub)
+
+    def handle(header: Header, command: Command) -> Reply:
+        done.append(command.order)
+        return Reply(0, True)
+
+    station.serve(0, handle, expires=True)
+    wire = _HeldWire(hub, station)
+    begun = time.monotonic_ns()
+
+    def late_first_word(key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
+        time.sleep(0.5)
+        reply = station.answer(key, payload, header)
+        wire.holds, wire.ask = True, held  # type: ignore[method-assign]
+        return lambda: reply
+
+    held, wire.ask = wire.ask, late_first_word  # type: ignore[method-assign]
+    assert Bus(wire).command(Command(CommandKind.START, 0), begun, 0.9, to=0).silent
+    assert not wire.deliver()[0].accepted
+    assert done == []
+
+
 def _known(dedup: CommandDeduplicator, session: int, sequence: int) -> Reply | None:
     return dedup.known_reply(Header(session, sequence, 0), Command(CommandKind.ARM, 1, recipient=5))
 

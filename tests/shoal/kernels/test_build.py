@@ -8,9 +8,11 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from shoal.kernels.stamp import stamp_of
+from tests.waiting import eventually
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")]
 
@@ -47,10 +49,11 @@ kernel_build.ensure_compiled(("robot_agent",))
 def installation(tmp_path: Path) -> Path:
     """Folder of an installation whose kernels nobody has compiled."""
     folder = tmp_path / "installed"
-    (folder / "shoal" / "kernels").mkdir(parents=True)
-    (folder / "robot_agent").mkdir()
-    for source in ROOT.glob("shoal/kernels/*.py"):
-        shutil.copy(source, folder / "shoal" / "kernels")
+    (folder / "robot_agent").mkdir(parents=True)
+    for part in ("kernels", "system"):
+        (folder / "shoal" / part).mkdir(parents=True)
+        for source in (ROOT / "shoal" / part).glob("*.py"):
+            shutil.copy(source, folder / "shoal" / part)
     for package in ("shoal", "robot_agent"):
         (folder / package / "__init__.py").touch()
     (folder / "robot_agent" / "numbers.py").write_text("FACTOR = 1.0\n", encoding="utf-8")
@@ -166,6 +169,27 @@ def test_next_program_takes_over_from_one_that_is_killed(installation: Path) -> 
     assert len(_files(installation)) == 5
     assert _run(installation, ENSURE)[0].endswith("True False")
     killed.communicate()
+
+
+def test_the_workers_end_with_a_program_that_is_killed(installation: Path) -> None:
+    """However long the compiler takes until it says something again. The lock is free then."""
+    begun = installation / "begun"
+    text = f"import pathlib, time; pathlib.Path({str(begun)!r}).touch(); time.sleep(3600)\n"
+    text += KERNELS + KERNEL.format(name="later", place=6)
+    (installation / "robot_agent" / "wait.py").write_text(text, encoding="utf-8")
+    program = _start(installation, ENSURE)
+    while not begun.exists():
+        assert program.poll() is None
+        time.sleep(0.01)
+    workers = psutil.Process(program.pid).children()
+    program.send_signal(signal.SIGKILL)
+    program.wait()
+    assert eventually(lambda: not any(map(_runs, workers)))
+    program.communicate()
+
+
+def _runs(process: psutil.Process) -> bool:
+    return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
 
 
 def test_stamp_is_that_of_the_content() -> None:

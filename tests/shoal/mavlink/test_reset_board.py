@@ -110,6 +110,11 @@ def test_the_rate_of_a_board_is_found_by_listening_alone(baud: int, tmp_path: Pa
         assert f"the board speaks at {baud} baud, not at 115200 as configured" in host.link.advice
         assert f"set the link to serial:{board.path}:{baud}" in host.link.advice
         assert host.link.advice in caplog.text
+        caplog.clear()
+        board.reset()
+        with caplog.at_level(logging.WARNING):
+            host.run(6.0, until_burst=True)
+        assert caplog.text == ""  # it is known by now
     finally:
         host.link.close()
         board.close()

@@ -1,5 +1,7 @@
 """Which code this is: from git in a work tree, from what the build wrote down, else unknown."""
 
+import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -11,7 +13,7 @@ from typer.testing import CliRunner
 from groundstation.logs.recorder import run_metadata
 from shoal.config.experiment import load_experiment
 from shoal.runtime import version
-from shoal.runtime.version import UNKNOWN, commit
+from shoal.runtime.version import UNKNOWN, Code, are_known, commit
 
 pytestmark = pytest.mark.real_time
 
@@ -64,6 +66,29 @@ def test_a_package_within_somebody_elses_work_tree_does_not_take_its_commit(tree
 def test_the_commit_is_unknown_without_git(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     assert commit(tree) == UNKNOWN
+
+
+def test_git_that_does_not_answer_leaves_the_commit_unknown_whatever_a_build_has_left_there(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes too long at any of its answers, or is killed."""
+    (tree / "shoal" / version.RECORDED).write_text("a" * 40 + "\n")
+    real = shutil.which("git")
+    for begins, does in (("ls-files --error", "sleep 60"), ("diff", "sleep 60"), ("ls-files --error", "kill -9 $$")):
+        folder = tmp_path / f"bin {begins} {does}"
+        folder.mkdir()
+        (folder / "git").write_text(f'#!/bin/sh\ncase "$*" in "{begins}"*) {does};; esac\nexec {real} "$@"\n')
+        (folder / "git").chmod(0o700)
+        with monkeypatch.context() as around:
+            around.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+            around.setattr(version, "PATIENCE_S", 1.0)
+            assert commit(tree) == UNKNOWN
+
+
+def test_an_unknown_commit_is_neither_the_same_as_another_nor_different() -> None:
+    assert are_known("1.0 abc", "1.0 abd", "")
+    assert not are_known(str(Code("1.0", UNKNOWN).short), "1.0 abc") and not are_known(UNKNOWN, UNKNOWN)
+    assert are_known(Code(UNKNOWN, "a" * 40).short)
 
 
 def test_git_variables_of_the_environment_do_not_change_the_commit(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:

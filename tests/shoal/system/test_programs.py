@@ -23,7 +23,7 @@ def test_programs_are_started_in_one_place() -> None:
         for path in (ROOT / package).rglob("*.py")
         if "sys.executable" in (text := path.read_text(encoding="utf-8")) and "subprocess" in text
     }
-    assert starting == {"shoal/system/programs.py", "shoal/kernels/build.py"}  # which hands its own import path to its workers
+    assert starting == {"shoal/system/programs.py"}
 
 
 @pytest.mark.long

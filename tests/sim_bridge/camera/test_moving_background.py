@@ -106,6 +106,19 @@ def test_swings_are_smooth_bounded_and_repeatable() -> None:
     assert np.abs(np.diff(places, axis=0)).max() < 0.05 * 0.4 and np.abs(np.diff(turns, axis=0)).max() < 0.05 * 0.08
 
 
+@pytest.mark.parametrize("motion", ["sway_m=0.2, tilt_rad=0.0", "sway_m=0.0, tilt_rad=0.05"])
+def test_the_floor_moves_in_the_picture_of_a_camera_that_only_sways_or_only_tilts(motion: str) -> None:
+    settings = (
+        "sim.picture.noise=0",
+        "sim.picture.ripples_m=0",
+        "sim.picture.caustics=0",
+        f"sim.camera_motion={{{motion}, period_s=4.0}}",
+    )
+    renderer = Renderer(load_experiment("drone", settings), 1)
+    early, late = (_colour(renderer.render(AWAY, REST, time_s, 0)).astype(float) for time_s in (1.0, 2.5))
+    assert np.abs(early - late).mean() > 2.0
+
+
 @pytest.mark.parametrize("step_px, most_px", [(8.0, 0.002), (9.7, 0.006)], ids=["blocks", "between and around them"])
 def test_lines_of_sight_of_a_moved_camera(step_px: float, most_px: float) -> None:
     """In a tilted pose, to the floor and back by projection; between blocks interpolated, and beyond the outermost straight

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from groundstation.logs.reader import metadata_of
 from groundstation.logs.recorder import Recorder, run_metadata
@@ -10,6 +11,7 @@ from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import encode
 from shoal.messages.messages import Estimate, Event, Plan, RobotState
+from shoal.runtime.version import UNKNOWN, Code
 from sim_bridge.replay.step_diff import StepOutputs, compare
 from sim_bridge.replay.step_replay import recorded_by_other_code
 
@@ -54,6 +56,11 @@ def test_a_log_of_other_code_is_told_of(tmp_path: Path) -> None:
     warning = recorded_by_other_code({"version": "0.1.0", "commit": 5 * "8289d898" + "+changed.01234567"})
     assert warning.startswith("the run was recorded by 0.1.0 8289d898+changed.01234567, this is ")
     assert recorded_by_other_code({}).startswith("the run was recorded by unknown unknown, ")
+
+
+def test_two_unknown_commits_are_not_taken_for_the_same_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim_bridge.replay.step_replay.code", lambda: Code("1.0", UNKNOWN))
+    assert recorded_by_other_code({"version": "1.0", "commit": UNKNOWN})
 
 
 def test_time_0_is_the_formations_start_and_not_that_of_a_flight_alone() -> None:

@@ -27,7 +27,7 @@ from shoal.config.loader import check
 from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
 from shoal.runtime.runtime import Stop
-from shoal.runtime.version import code
+from shoal.runtime.version import UNKNOWN, code
 from sim_bridge.__main__ import cli
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
@@ -363,9 +363,21 @@ def test_resume_refuses_flights_of_another_version(flown: Path, tmp_path: Path) 
             "".join(f"{line}\n" for line in [json.dumps({**row, **(other or {})}), *lines_[1:]])
         )
         before = (tmp_path / "journal.jsonl").read_bytes()
-        with pytest.raises(ConfigError, match=r"holds flights of commit (0{40}|unknown), and this is "):
+        with pytest.raises(ConfigError, match=r"holds flights of (commit 0{40}|an earlier version), and this is "):
             fly(campaign(), tmp_path, resume=True)
         assert (tmp_path / "journal.jsonl").read_bytes() == before
+
+
+def test_resume_goes_on_with_flights_of_an_unknown_commit_and_says_so(flown: Path, tmp_path: Path) -> None:
+    """As of a program that could not ask git in time."""
+    lines_ = [json.loads(line) for line in (flown / "journal.jsonl").read_text().splitlines()]
+    lines_[0]["commit"] = UNKNOWN
+    (tmp_path / "journal.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines_))
+    text = io.StringIO()
+    assert fly(campaign(), tmp_path, resume=True, console=Console(file=text)) == 0
+    output = " ".join(text.getvalue().split())
+    assert "nobody knows whether one version flies them all" in output
+    assert f"{code().commit}, {UNKNOWN}" in output
 
 
 def test_a_second_program_in_a_folder_is_refused(tmp_path: Path) -> None:
