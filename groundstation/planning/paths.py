@@ -83,6 +83,7 @@ class SplinePath:
     """
 
     def __init__(self, waypoints: Waypoints) -> None:
+        """Raises ValueError for waypoints that no robot can follow: two at one place, or a turn on the spot."""
         points = np.array(waypoints.all_points_m)
         chords = np.hypot(*np.diff(points, axis=0).T)
         if np.any(chords <= 0.0):
@@ -90,6 +91,7 @@ class SplinePath:
             raise ValueError(f"path.points_m: points {first} and {first + 1} are the same place")
         if waypoints.start_index >= len(points) - 1:
             raise ValueError(f"path.start_index = {waypoints.start_index}: allowed are 0 to {len(points) - 2}")
+        # The curve by its parameter q, in fine pieces between knots
         knots, self._curve = curve_through(points)
         fine = [np.linspace(a, b, PIECES, endpoint=False) for a, b in pairwise(knots)]
         self._q = np.concatenate([*fine, [knots[-1]]])
@@ -97,6 +99,7 @@ class SplinePath:
         if np.linalg.norm(self._curve(self._q[slowest], 1)) < SLOWEST:
             x, y = self._curve(self._q[slowest])
             raise ValueError(f"path.points_m: the path turns on the spot at ({x:.2f}, {y:.2f}) m; give it room to turn")
+        # Arc length [m] and direction [rad] at the ends of the pieces
         self._arc = np.concatenate([[0.0], np.cumsum(self._length(self._q[:-1], np.diff(self._q)))])
         self._yaw = np.unwrap(self._angle(self._q))
         self._start_m = float(self._arc[waypoints.start_index * PIECES])

@@ -127,8 +127,9 @@ def _spans(places: Array, obstacles: Array, keep_m: Array) -> list[tuple[int, in
     near = np.flatnonzero((apart < keep_m).any(axis=(0, 2)))
     if not len(near):
         return []
-    cuts = np.flatnonzero(np.diff(near) > 1)
-    return list(zip(near[np.r_[0, cuts + 1]].tolist(), near[np.r_[cuts, len(near) - 1]].tolist(), strict=True))
+    is_gap = np.diff(near) > 1  # between one of these samples and the next
+    firsts, lasts = near[np.insert(is_gap, 0, True)], near[np.append(is_gap, True)]
+    return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
 
 
 def _nearest(places: Array, obstacles: Array, span: tuple[int, int]) -> int:

@@ -402,7 +402,8 @@ class ClientHub:
         return f"this came {late_s:.0f} s late, and was not done" if late_s > valid_s else ""
 
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
-        order, number = order_named(request.order), 0
+        """Make a page's request of the station, and answer the page. Any page may stop the fleet, however late it comes."""
+        order = order_named(request.order)
         if order is CommandKind.STOP:
             reason, number = await self._at(self._stops, _refused, self._source.station.request, order)
         else:

@@ -207,9 +207,16 @@ def _pose_row(subject: str, group: Sequence[_PoseError]) -> PoseRow:
     # A quantile of chi-square: scipy.stats has it by name, and takes a quarter of a second to load.
     low, high = (2.0 * float(gammaincinv(_COMPONENTS * count / 2.0, share)) / count for share in _BAND)
     return PoseRow(
-        subject, len(group),
-        float(np.sqrt(np.mean(distance_mm**2))), float(np.quantile(distance_mm, 0.95)), float(np.max(distance_mm)),
-        float(np.sqrt(np.mean(turn_deg**2))), float(np.max(turn_deg)),
-        float(np.mean(usable)) if len(usable) else float("nan"), low, high,
-        sum(e.swapped for e in group), sum(e.swapped and e.measured.pose.identity_verified for e in group),
-    )  # fmt: skip
+        subject=subject,
+        poses=len(group),
+        rms_mm=float(np.sqrt(np.mean(distance_mm**2))),
+        p95_mm=float(np.quantile(distance_mm, 0.95)),
+        max_mm=float(np.max(distance_mm)),
+        rms_deg=float(np.sqrt(np.mean(turn_deg**2))),
+        max_deg=float(np.max(turn_deg)),
+        nees=float(np.mean(usable)) if len(usable) else float("nan"),
+        nees_low=low,
+        nees_high=high,
+        swapped=sum(e.swapped for e in group),
+        unflagged=sum(e.swapped and e.measured.pose.identity_verified for e in group),
+    )

@@ -153,6 +153,14 @@ class HalfSpaces:
 NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(0))
 
 
+class _NeighbourRows(NamedTuple):
+    """Half-spaces of one neighbour at the near nodes, and how far it is beyond the distance to keep."""
+
+    beyond_m: float
+    normals: Places
+    offsets: Array
+
+
 class NeighbourPredictions(NamedTuple):
     """The plans of neighbours that can be used, at our instants."""
 
@@ -202,25 +210,37 @@ class Formation:
         """Sample all neighbours' plans at our nodes. A plan whose numbers cannot be poses is left out."""
         if not neighbours:
             return self._nobody
-        plans = [PlanRows(np.array(n.plan.eta), np.array(n.plan.eta_reference), n.plan.period_s) for n in neighbours]
-        used = [(n, plan) for n, plan in zip(neighbours, plans, strict=True) if are_poses(plan)]
+        used, plans = list[Neighbour](), list[PlanRows]()
+        for neighbour in neighbours:
+            plan = neighbour.plan
+            rows = PlanRows(np.array(plan.eta), np.array(plan.eta_reference), plan.period_s)
+            if are_poses(rows):
+                used.append(neighbour)
+                plans.append(rows)
         if not used:
             return self._nobody
         count, nodes = len(used), len(self._nodes_s)
         pose, deviation, total, members = np.empty((count, nodes, 4)), np.empty((nodes, 4)), np.zeros((nodes, 4)), 0
-        place, depth, velocity = zip(*(now_and_meant(plan, (now_ns - n.stamp_ns) / NS) for n, plan in used), strict=True)
-        way = np.empty((count, WAY_STEPS), np.complex128)
-        for i, (neighbour, plan) in enumerate(used):
-            write_meant_way(plan, (now_ns - neighbour.stamp_ns) / NS, way[i])
-            at_s = self._nodes_s + (now_ns - neighbour.stamp_ns) / NS
-            sample_plan(plan, at_s, self._most_m, pose[i], deviation)
+        place, velocity = np.empty(count, np.complex128), np.empty(count, np.complex128)
+        depth, way = np.empty(count), np.empty((count, WAY_STEPS), np.complex128)
+        for i, (neighbour, rows) in enumerate(zip(used, plans, strict=True)):
+            age_s = (now_ns - neighbour.stamp_ns) / NS
+            place[i], depth[i], velocity[i] = now_and_meant(rows, age_s)
+            write_meant_way(rows, age_s, way[i])
+            sample_plan(rows, self._nodes_s + age_s, self._most_m, pose[i], deviation)
             if neighbour.fresh and neighbour.formation:
                 total += deviation
                 members += 1
         return NeighbourPredictions(
-            [n for n, _ in used], pose, total, members, np.array(place, np.complex128), np.array(depth, np.float64),
-            np.array(velocity, np.complex128), way,
-        )  # fmt: skip
+            neighbours=used,
+            pose=pose,
+            deviation=total,
+            members=members,
+            place_now=place,
+            depth_now=depth,
+            intended_velocity=velocity,
+            intended_way=way,
+        )
 
     def pull(self, predictions: NeighbourPredictions, own: Array) -> tuple[Array, Array] | None:
         """The formation's pull on the reference (nodes, 4), and the weight of the errors that goes with it (4,), for the
@@ -262,22 +282,29 @@ class Formation:
         pose is `own` (4,): n = (own - place) / |own - place|, n . (x, y) >= n . place + distance to keep."""
         if not predictions.neighbours:
             return NOWHERE
-        place, rows, poses = complex(*own[:2].tolist()), [], predictions.pose[:, self._near]
+        place, poses = complex(*own[:2].tolist()), predictions.pose[:, self._near]
         away = place - poses[:, :, 0] - 1j * poses[:, :, 1]
         apart_m = np.abs(away)
+        chosen: list[_NeighbourRows] = []
         for i, nearest_m in enumerate(apart_m.min(axis=1).tolist()):
             keep_m = self.required_clearance_m(predictions.neighbours[i], rank, now_ns)
             if keep_m is None or nearest_m >= keep_m + self._safety.margin_m:
                 continue
-            if not ((np.abs(own[2] - poses[i, :, 2]) < keep_m) & (apart_m[i] < keep_m + self._safety.margin_m)).any():
+            is_near = apart_m[i] < keep_m + self._safety.margin_m
+            is_as_deep = np.abs(own[2] - poses[i, :, 2]) < keep_m
+            if not (is_near & is_as_deep).any():
                 continue
             # on top of one another any direction leads out
-            normal = np.where(apart_m[i] >= TOUCHING_M, away[i] / np.maximum(apart_m[i], TOUCHING_M), 1.0)
-            rows.append((nearest_m - keep_m, normal, (normal * (place - away[i]).conj()).real + keep_m))
-        if not rows:
+            normals = np.where(apart_m[i] >= TOUCHING_M, away[i] / np.maximum(apart_m[i], TOUCHING_M), 1.0)
+            offsets = (normals * (place - away[i]).conj()).real + keep_m
+            chosen.append(_NeighbourRows(nearest_m - keep_m, normals, offsets))
+        if not chosen:
             return NOWHERE
-        if len(rows) > NEAREST:  # their order is kept: the solver goes on from the rows that were active
-            farthest_m = sorted(beyond_m for beyond_m, *_ in rows)[NEAREST - 1]
-            rows = [body for body in rows if body[0] <= farthest_m][:NEAREST]
-        _, normals, offsets = zip(*rows, strict=True)
-        return HalfSpaces(np.tile(self._near, len(rows)), np.concatenate(normals), np.concatenate(offsets))
+        if len(chosen) > NEAREST:  # their order is kept: the solver goes on from the rows that were active
+            farthest_m = sorted(rows.beyond_m for rows in chosen)[NEAREST - 1]
+            chosen = [rows for rows in chosen if rows.beyond_m <= farthest_m][:NEAREST]
+        return HalfSpaces(
+            np.tile(self._near, len(chosen)),
+            np.concatenate([rows.normals for rows in chosen]),
+            np.concatenate([rows.offsets for rows in chosen]),
+        )

@@ -84,8 +84,9 @@ def write_curve(session: ParameterSession, curve_fit: "ThrustFit") -> int:
         raise ConfigError(
             f"the board's curve has {rows} points, and the measurement gives {len(curve_fit.curve)} (measure at more pulses)"
         )
-    curve = [(f"CRV{i:02}", pulse, force) for i, (pulse, force) in enumerate(curve_fit.curve, 1)]
-    values = {f"{row}_{unit}": float(value) for row, *both in curve for unit, value in zip(("US", "N"), both, strict=True)}
+    values: dict[str, float] = {}
+    for i, (pulse_us, force_n) in enumerate(curve_fit.curve, 1):
+        values |= {f"CRV{i:02}_US": float(pulse_us), f"CRV{i:02}_N": float(force_n)}
     wanted = {name: value for name, value in values.items() if not session.has(name, value)}
     changed = 0
     while wanted:

@@ -447,21 +447,24 @@ def checked_experiment(
     table: dict[str, Any], path: Path, settings: Sequence[str] = (), faults: Sequence[str] = ()
 ) -> Experiment:
     """The experiment of a parsed file; `table` is changed. Raises ConfigError."""
-    given: dict[str, str] = {}  # options of the command line, by what an error about them begins with
+    options: dict[str, str] = {}  # of the command line, by what an error about them begins with
     try:
         _insert_files(table, path)
         for setting in settings:
-            given |= {setting.partition("=")[0].strip(): f"--set {setting}: ", setting: "--set ", repr(setting): "--set "}
+            key = setting.partition("=")[0].strip()
+            options |= {key: f"--set {setting}: ", setting: "--set ", repr(setting): "--set "}
             apply_setting(table, setting)
             _insert_files(table, path, typed=True)
         _insert_nodes(table)
-        sim = table.setdefault("sim", {}) if faults else None
-        if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
-            given |= {f"sim.faults.{k}": f"--fault {fault!r}: " for k, fault in enumerate(faults, len(sim["faults"]))}
-            sim["faults"] += map(fault_table, faults)
+        if faults:
+            sim = table.setdefault("sim", {})
+            listed = sim.setdefault("faults", []) if isinstance(sim, dict) else None
+            if isinstance(listed, list):  # else `check` says what is wrong with it
+                options |= {f"sim.faults.{k}": f"--fault {fault!r}: " for k, fault in enumerate(faults, len(listed))}
+                listed += map(fault_table, faults)
         return _with_the_vehicles_body(check(Experiment, table, str(path)))
     except ConfigError as error:
-        raise ConfigError("\n".join(_of_option(line, path, given) for line in str(error).splitlines())) from None
+        raise ConfigError("\n".join(_of_option(line, path, options) for line in str(error).splitlines())) from None
 
 
 def _with_the_vehicles_body(experiment: Experiment) -> Experiment:

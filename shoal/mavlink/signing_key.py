@@ -56,11 +56,14 @@ class TimestampStore:
     """The time for signatures, in ticks: Unix time, but never before what an earlier life of this program has used."""
 
     def __init__(self, path: Path, unix_ns: Callable[[], int] = time.time_ns) -> None:
-        """The file at `path` holds how far was counted. Raises ConfigError if it cannot be kept."""
+        """The file at `path` holds the time up to which timestamps may have been used. Raises ConfigError if it cannot be
+        kept."""
         self._path, self._unix_ns = path, unix_ns
         try:
-            self._least = self._limit = _time_in(path) if path.exists() else 0
-            self._reserve(self(), durable=True)
+            used_before = _time_in(path) if path.exists() else 0
+            self._least = self._limit = used_before
+            now = self()
+            self._reserve(now, durable=True)
         except OSError as error:
             raise ConfigError(f"{path}: the times that signatures have used cannot be kept: {error}") from None
 

@@ -133,16 +133,18 @@ class Caustics:
     """Light on the floor: a regular bundle of rays sent down through a wavy surface and collected on a grid."""
 
     def __init__(self, pool: PoolConfig, random: np.random.Generator) -> None:
+        """Draw the waves of a pool's surface, and lay the pattern's grid over its floor."""
+        length_m, width_m, depth_m = pool.size_m
         self._waves = PlaneWaves(CAUSTIC_WAVES, CAUSTIC_LENGTH_M, CAUSTIC_LOOP_S, random)
-        steep = np.linalg.norm(self._waves.number, axis=1)
-        self._amplitude = CAUSTIC_SLOPE / steep * np.sqrt(2.0 / CAUSTIC_WAVES)
-        self._throw_m = 0.25 * pool.size_m[2]
-        self._width, self._height = (round(min(size, CAUSTIC_PLAN_M) / CAUSTIC_GRID_M) + 1 for size in pool.size_m[:2])
+        rad_per_m = np.linalg.norm(self._waves.number, axis=1)
+        self._amplitude = CAUSTIC_SLOPE / rad_per_m * np.sqrt(2.0 / CAUSTIC_WAVES)  # all waves are as steep
+        self._throw_m = 0.25 * depth_m  # a ray's shift on the floor by the surface's slope: 1 - 1/n of it, by Snell
+        self._width, self._height = (round(min(size, CAUSTIC_PLAN_M) / CAUSTIC_GRID_M) + 1 for size in (length_m, width_m))
         column, row = np.meshgrid(np.arange(self._width, dtype=np.float32), np.arange(self._height, dtype=np.float32))
         self._column, self._row = column.ravel(), row.ravel()
         grid = np.float32(CAUSTIC_GRID_M)
         self._basis = self._waves.slope_basis(self._column * grid, self._row * grid)
-        self.half_m = np.array([pool.size_m[0], pool.size_m[1]]) / 2.0  # place of the pattern's first corner: minus this
+        self.half_m = np.array([length_m, width_m]) / 2.0  # place of the pattern's first corner: minus this
 
     def pattern(self, time_s: float) -> Float:
         """Light over its mean on the pool's plan, (height, width), CAUSTIC_GRID_M apart, from 0 to CAUSTIC_BRIGHTEST."""

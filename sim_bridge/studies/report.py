@@ -106,11 +106,16 @@ def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str,
     drawn = [(row[key], row[measure]) for row in flown if row.get(measure) is not None]
     if not drawn or not all(np.asarray(value).dtype.kind in "if" for value, _ in drawn):
         return []
-    if not np.ndim(drawn[0][0]):
+    first_value, _ = drawn[0]
+    if not np.ndim(first_value):
         return [(key, drawn)]
-    each = range(len(drawn[0][0]))
-    components = [(f"{key}[{k}]", [(value[k], result) for value, result in drawn]) for k in each]
-    return [(name, pairs) for name, pairs in components if len({value for value, _ in pairs}) > 1]
+    scatters = []
+    for k in range(len(first_value)):
+        pairs = [(value[k], result) for value, result in drawn]
+        varies = len({number for number, _ in pairs}) > 1
+        if varies:
+            scatters.append((f"{key}[{k}]", pairs))
+    return scatters
 
 
 def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> list[tuple[str, Markup]]:

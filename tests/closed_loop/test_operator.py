@@ -1,6 +1,6 @@
 """A person at the station: the programs started one by one, as in a lab, and orders from another terminal.
 
-In lockstep: a slow machine is slow, and no robot is late; at three times real time, so that orders come to an early moment
+In lockstep: a slow machine is slow, and no robot is late; no faster than real time, so that orders come to an early moment
 of the flight. The simulated pool tells poses itself."""
 
 import json
@@ -35,7 +35,7 @@ class OperatorLab:
         ports = free_base_port((1, 2))
         place = ("--run-dir", str(folder / "run"))
         self.agent(1, ports)  # first
-        paced = ("--lockstep", "--poses", "--pace", "3", "--ports", str(ports))
+        paced = ("--lockstep", "--poses", "--pace", "1", "--ports", str(ports))
         self.start("sim-bridge", "sim_bridge", "pool", self.experiment, *paced)
         self.children.start(
             "groundstation",

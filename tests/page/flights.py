@@ -26,7 +26,7 @@ FLAGS = [
     "--disable-sync",
 ]
 AXE = resources.files("axe_playwright_python") / "axe.min.js"
-LOCKSTEP = ("--lockstep", "--poses")
+PACED = ("--lockstep", "--pace", "2", "--poses")
 PATIENCE_MS = 120_000  # for anything that a loaded machine may take long over
 
 
@@ -44,14 +44,12 @@ def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
 
 @dataclass
 class OperatorFlight:
-    """`sim-bridge sil pool` under an operator's hands; without the camera and at a pace, times real time, to leave processors
-    free: the robots of a run that waits for hands cost as much as those of one that is flown. `arguments` are those of its
-    own."""
+    """`sim-bridge sil pool` under an operator's hands; without the camera and at twice real time, to leave processors free.
+    `arguments` are those of its own."""
 
     folder: Path
     port: int
     arguments: tuple[str, ...] = ("--manual", "--duration", "900")
-    pace: int = 1
     process: subprocess.Popen[bytes] | None = None
     starts: int = 0
     stopped: list[psutil.Process] = field(default_factory=list)
@@ -63,7 +61,7 @@ class OperatorFlight:
     def start(self) -> None:
         """Start all processes; returns when the page can be had."""
         self.starts += 1
-        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", *LOCKSTEP, "--pace", str(self.pace), *self.arguments]
+        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", *PACED, *self.arguments]
         log = (self.folder / f"sil-{self.starts}.log").open("wb")
         self.process = subprocess.Popen(
             [*command, "--out", str(self.folder), "--web", f"127.0.0.1:{self.port}"],

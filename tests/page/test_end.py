@@ -32,7 +32,7 @@ pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for
 @contextmanager
 def flown(browser: Browser, folder: Path, *arguments: str) -> Iterator[tuple[OperatorFlight, Page]]:
     """An automatic flight, and a page on it."""
-    flight, traffic = OperatorFlight(folder, free_port(), arguments, pace=2), PageTraffic()
+    flight, traffic = OperatorFlight(folder, free_port(), arguments), PageTraffic()
     flight.start()
     try:
         page = open_page(browser, flight, traffic)
@@ -138,7 +138,7 @@ def test_ctrl_c_in_the_terminal_ends_on_the_page_and_the_next_one_ends_the_progr
 
 
 def test_a_run_that_nobody_watches_ends_by_itself(tmp_path: Path) -> None:
-    flight = OperatorFlight(tmp_path, free_port(), ("--duration", "1", "--one-process"), pace=2)
+    flight = OperatorFlight(tmp_path, free_port(), ("--duration", "1", "--one-process"))
     flight.start()
     assert flight.process is not None
     assert flight.process.wait(PATIENCE_MS * 1e-3) == 0
