@@ -102,12 +102,16 @@ def _flat_path(
     """The shortest smooth path in the plane between two poses, around discs and `parked` robots. Raises NoRoute."""
     keep_m = 2.0 * experiment.safety.radius_m
     parked_discs = np.array([(x, y, keep_m) for x, y, *_ in parked]).reshape(-1, 3)
-    discs = _no_wider_than_free(np.vstack([around.discs, parked_discs]), start[:2], goal[:2])
+    discs = np.vstack([around.discs, parked_discs])
     ends = [(start[0], start[1]), (goal[0], goal[1])]
     half_x_m, half_y_m = around.half_m  # of a basin that holds both ends
     half_x_m = max(half_x_m, abs(float(start[0])), abs(float(goal[0])))
     half_y_m = max(half_y_m, abs(float(start[1])), abs(float(goal[1])))
-    points = find_route(ends, discs, (half_x_m, half_y_m), out_of_time=out_of_time)
+    half_m = half_x_m, half_y_m
+    try:
+        points = find_route(ends, _no_wider_than_free(discs, 0.0, start[:2], goal[:2]), half_m, out_of_time=out_of_time)
+    except NoRoute:  # at the rim of what an end lies beside there is no room for a smooth bend
+        points = find_route(ends, _no_wider_than_free(discs, RIM_M, start[:2], goal[:2]), half_m, out_of_time=out_of_time)
     try:
         return SplinePath(Waypoints(kind="waypoints", points_m=tuple((x, y) for x, y in points.tolist()), speed_mps=1.0))
     except ValueError:
@@ -120,13 +124,13 @@ def _can_be_flown(experiment: Experiment, transfer: Transfer, start_rad: float) 
     return float(np.max(slowdown)) <= 1.0
 
 
-def _no_wider_than_free(discs: Array, *ends: Array) -> Array:
-    """Discs shrunk until the ends are free, with room for a bend: a robot that rests near an obstacle may leave, and may come
-    to rest there."""
+def _no_wider_than_free(discs: Array, by_m: float, *ends: Array) -> Array:
+    """Discs shrunk until the ends are free by `by_m`: a robot that rests near an obstacle may leave, and may come to rest
+    there."""
     if len(discs) == 0:
         return discs
     room = np.min([np.hypot(*(discs[:, :2] - end).T) for end in ends], axis=0)
-    return np.column_stack([discs[:, :2], np.minimum(discs[:, 2], np.maximum(room - RIM_M, 0.0))])
+    return np.column_stack([discs[:, :2], np.minimum(discs[:, 2], np.maximum(room * (1.0 - 1e-9) - by_m, 0.0))])
 
 
 def ramp(time_s: Array) -> tuple[Array, Array, Array]:
