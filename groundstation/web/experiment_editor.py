@@ -62,6 +62,7 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
     _choose_robots(table, edit)
     if table != experiment.model_dump(mode="json", exclude_none=True):
         table["title"] = f"{(experiment.title or experiment.name).removesuffix(EDITED_TITLE)}{EDITED_TITLE}"
+        table["article"] = []  # a paper's figures are those of its own experiment
     return check(Experiment, table, "this edit")
 
 
@@ -81,7 +82,6 @@ def _choose_robots(table: dict[str, Any], edit: Edit) -> None:
     table["robots"] = [robots_by_id[robot] for robot in ids]
     for robot in table["robots"]:
         robot["neighbours"] = [other for other in robot.get("neighbours", ()) if other in ids]
-    table["article"] = [row for row in table.get("article", ()) if all(int(r) in ids for r in row["subject"].split("-"))]
     formation = table["formation"]
     if edit.shape is not None:
         nodes = shape_nodes(edit.shape, len(ids), formation["spacing_m"]).tolist()
