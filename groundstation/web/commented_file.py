@@ -1,32 +1,53 @@
-"""SHELL: an experiment as a file for people: the keys that differ from their defaults, each with its meaning as a comment.
+"""SHELL: an experiment as a file for people: the keys that differ from what a file without them gives, each with its meaning
+as a comment.
 
 Loading the file gives the same experiment. `dump_experiment` writes every key instead, for a run's own record.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from shoal.config.experiment import Experiment
+from shoal.config.experiment import Experiment, checked_experiment
 from shoal.config.formation_shapes import shape_nodes
 from shoal.config.key_reference import meanings, schema_line
-from shoal.config.loader import Section, toml_value
+from shoal.config.loader import Section, parse_toml, toml_value
 from shoal.config.vehicle import VEHICLES, Vehicle, load_vehicle
 
 WIDE = 127  # of a line; with a longer comment it stands above its key
 
 
 def commented(experiment: Experiment) -> str:
-    """The experiment as TOML, in the order of the shipped files."""
-    title = f"# {experiment.title or experiment.name}"
-    return "\n".join([schema_line("experiment"), title, "", *_lines(experiment, "", set())]) + "\n"
+    """The experiment as TOML, in the order of the shipped files. What a key gives that is left out may hang on others, of the
+    control law for example: the file is read again, and tells what it would give otherwise."""
+    title, needed, missed = f"# {experiment.title or experiment.name}", set[str](), {""}
+    while missed - needed:
+        needed |= missed
+        text = "\n".join([schema_line("experiment"), title, "", *_lines(experiment, "", needed, set())]) + "\n"
+        again = checked_experiment(parse_toml(text, experiment.name), Path(experiment.name))
+        missed = set(_other_keys(_dumped(experiment), _dumped(again), ""))
+    return text
 
 
-def _lines(section: Section, name: str, commented_keys: set[str]) -> Iterator[str]:
+def _other_keys(one: Any, other: Any, name: str) -> Iterator[str]:
+    """Dotted keys in which two tables differ, with those of the tables that hold them; of a list no place is told."""
+    if one == other:
+        return
+    yield name
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in one.keys() & other.keys():
+            yield from _other_keys(one[key], other[key], f"{name}.{key}" if name else key)
+    elif isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        for mine, theirs in zip(one, other, strict=False):
+            yield from _other_keys(mine, theirs, name)
+
+
+def _lines(section: Section, name: str, needed: Set[str], commented_keys: set[str]) -> Iterator[str]:
     """Lines of a section: its own keys, then its sections. A key that is in `commented_keys` has had its comment."""
     below: list[tuple[str, Any]] = []
-    for key, value in _different(section).items():
+    for key, value in _different(section, name, needed).items():
         dotted = f"{name}.{key}" if name else key
         if isinstance(value, Section) or (isinstance(value, tuple) and value and isinstance(value[0], Section)):
             below.append((dotted, value))
@@ -41,17 +62,16 @@ def _lines(section: Section, name: str, commented_keys: set[str]) -> Iterator[st
         for one in value if isinstance(value, tuple) else (value,):
             yield ""
             yield f"[[{dotted}]]" if isinstance(value, tuple) else f"[{dotted}]"
-            yield from _lines(one, dotted, commented_keys)
+            yield from _lines(one, dotted, needed, commented_keys)
 
 
-def _different(section: Section) -> dict[str, Any]:
-    """The values that a file has to tell."""
+def _different(section: Section, name: str, needed: Set[str]) -> dict[str, Any]:
+    """The values that a file has to tell, with the `needed` ones."""
     values = {}
     for key, field in type(section).model_fields.items():
         value = getattr(section, key)
-        if value is not None and (
-            field.is_required() or _dumped(value) != _dumped(field.get_default(call_default_factory=True))
-        ):
+        is_needed = field.is_required() or (f"{name}.{key}" if name else key) in needed
+        if value is not None and (is_needed or _dumped(value) != _dumped(field.get_default(call_default_factory=True))):
             values[key] = value
     if isinstance(section, Experiment):
         values["vehicle"] = _shipped_name(section.vehicle) or section.vehicle

@@ -15,9 +15,24 @@ from shoal.config.experiment import EXPERIMENTS, load_experiment
 NAMES = sorted(path.stem for path in EXPERIMENTS.glob("*.toml"))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_written_file_is_the_same_experiment(name: str, tmp_path: Path) -> None:
-    experiment = load_experiment(name)
+ARTICLE = "controller.law=eso-mpc-article"
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        *((name, ()) for name in NAMES),
+        ("pool", (ARTICLE,)),
+        ("pool", (ARTICLE, "controller.estimator.kind=kalman", "controller.estimator.sway=true", "controller.mpc.horizon=50")),
+        ("pool", (ARTICLE, "controller.mpc.r=[0.05,0.05,8.0]", "controller.mpc.blocks=[1,1,2,3,4,4]")),
+        ("pool", ("controller.period_s=0.1", "controller.mpc.horizon=50")),
+        ("pool", ("vehicle.battery.cells=4", "sim.plant.battery.curve_v=12.0", "sim.sensors.battery_v=12.4")),
+        ("pool", ("vehicle.righting.moment_nm=3.0", "sim.plant.tilt.righting_nm=1.9", "formation.shape=line")),
+    ],
+)
+def test_a_written_file_is_the_same_experiment(name: str, settings: tuple[str, ...], tmp_path: Path) -> None:
+    """Also where a key has the usual value, and a file without it would have another."""
+    experiment = load_experiment(name, settings)
     file = tmp_path / "again.toml"
     text = commented(experiment)
     file.write_text(text, encoding="utf-8")
