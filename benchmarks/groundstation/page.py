@@ -174,7 +174,13 @@ class _Station:
         return Status(state=MissionState.RUNNING, views=views)
 
     def request(
-        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = ""
+        self,
+        order: CommandKind,
+        via: Sequence[tuple[float, float]] = (),
+        only: int = 0,
+        text: str = "",
+        until_s: float = math.inf,
+        asked_s: float = math.inf,
     ) -> tuple[str, int]:
         return "", 0
 
@@ -184,7 +190,7 @@ class _Station:
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         return ""
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
         return "", 0
 
 

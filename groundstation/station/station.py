@@ -57,6 +57,7 @@ MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the 
 COMMAND_KINDS = 5
 PLANNING_S = 15.0  # for a plan of robots at rest; the formation holds meanwhile, and its battery does not last for ever
 DRAFT_S = 5.0  # for a plan that a person looks at; a click plans it anew
+OVERTAKEN = "another request was made before this one was ready: ask again if it is still wanted"
 STATUS_WITHIN_S = 0.02  # a reader of the status waits no longer for the cycle, and gets the last one
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 
@@ -315,13 +316,15 @@ class Station:
         only: int = WHOLE_FLEET,
         text: str = "",
         until_s: float = math.inf,
+        asked_s: float = math.inf,
     ) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. It is not done
-        after `until_s` (s, monotonic). Returns the reason of a refusal, or nothing, and the request's number."""
+        after `until_s` (s, monotonic), nor if another has been made since `asked_s`. Returns the reason of a refusal, or
+        nothing, and the request's number."""
         if order is CommandKind.FAULT:
             return self._fault(text)
         with self._turn(until_s) as reason:
-            number = 0
+            number, reason = 0, reason or (OVERTAKEN if self.asked_s > asked_s else "")
             if not reason:
                 reason, number = self.core.request(order, self.fleet(), self.clock.now_ns(), via, only, text)
             self.asked_s = time.monotonic()

@@ -1,5 +1,6 @@
 """Interfaces of the page's server: what it shows (Backend), and what it asks of the station (StationApi). Pure."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -61,16 +62,24 @@ class OperatorRequests(Protocol):
     request's number."""
 
     def request(
-        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
-    ) -> tuple[str, int]: ...
+        self,
+        order: CommandKind,
+        via: Sequence[tuple[float, float]] = (),
+        only: int = WHOLE_FLEET,
+        text: str = "",
+        until_s: float = math.inf,
+        asked_s: float = math.inf,
+    ) -> tuple[str, int]:
+        """It is not done after `until_s` (s, monotonic), nor if another request has been made since `asked_s`."""
+
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         """Plan another form, or another experiment's path, without flying it. Raises PlanError."""
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Move one robot at a velocity; it holds when none comes any more. Returns the reason of a refusal, or nothing."""
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
-        """Change gains; None: go back to those before."""
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
+        """Change gains; None: go back to those before. It is not done after `until_s` (s, monotonic)."""
 
 
 class StationApi(OperatorRequests, Protocol):

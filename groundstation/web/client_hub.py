@@ -6,6 +6,7 @@ Frames to a page: u32 number, f32 round trip of the last one in ms, then a Messa
 
 import asyncio
 import contextlib
+import math
 import struct
 import time
 from collections import deque
@@ -25,7 +26,7 @@ from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
 from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.errors import ConfigError
-from shoal.messages.messages import CommandKind, DriveVelocity
+from shoal.messages.messages import WHOLE_FLEET, CommandKind, DriveVelocity
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, origin_allowed, token_allowed
 from shoal.system.printable import printable
@@ -403,25 +404,45 @@ class ClientHub:
 
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
         """Make a page's request of the station, and answer the page. Any page may stop the fleet, however late it comes."""
-        order = order_named(request.order)
+        order, station = order_named(request.order), self._source.station
+        until_s = math.inf if order in ALWAYS_TAKEN else request.seen_ms * 1e-3 + ORDER_VALID_S
+
+        def objection() -> str:
+            late = "" if order in ALWAYS_TAKEN else self._void(request.seen_ms, ORDER_VALID_S)
+            return self._may_command(watcher) or late
+
         if order is CommandKind.STOP:
-            reason, number = await self._at(self._stops, _refused, self._source.station.request, order)
+            reason, number = await self._at(self._stops, _refused, station.request, order)
+        elif order is CommandKind.PATH:
+            reason, number = await self._request_path(request, objection, until_s)
         else:
-
-            def objection() -> str:
-                late = "" if order in ALWAYS_TAKEN else self._void(request.seen_ms, ORDER_VALID_S)
-                return self._may_command(watcher) or late
-
-            reason, number = await self._in_turn(objection, _refused, lambda: self._order(order, request))
+            reason, number = await self._in_turn(
+                objection,
+                _refused,
+                lambda: station.request(order, request.via_m, request.robot, request.text, until_s),
+            )
         self._answer(watcher, request.n, request.order, reason, number)
 
-    def _order(self, order: CommandKind, request: protocol.OrderRequest) -> tuple[str, int]:
-        """Ask it of the station. Returns the reason of a refusal, or nothing, and the request's number."""
-        try:
-            text = flight_text(self._source.experiment, order, request.text, request.edit)
-        except ConfigError as error:
-            return str(error), 0
-        return self._source.station.request(order, request.via_m, request.robot, text)
+    async def _request_path(
+        self, request: protocol.OrderRequest, objection: Callable[[], str], until_s: float
+    ) -> tuple[str, int]:
+        """Ask the station for another path. A disk that hangs keeps no other order waiting: the path has its turn, is read
+        beside the orders, and is flown only if no request has been made since its turn."""
+        path, station = CommandKind.PATH, self._source.station
+        reason, asked_s = await self._in_turn(objection, lambda why: (why, 0.0), lambda: ("", time.monotonic()))
+        if reason:
+            return reason, 0
+
+        def read() -> tuple[str, str]:
+            try:
+                return "", flight_text(self._source.experiment, path, request.text, request.edit)
+            except ConfigError as error:
+                return str(error), ""
+
+        reason, text = await self._at(self._files, lambda why: (why, ""), read)
+        if reason:
+            return reason, 0
+        return await self._in_turn(objection, _refused, lambda: station.request(path, (), WHOLE_FLEET, text, until_s, asked_s))
 
     async def _drive(self, watcher: Client, drive: protocol.DriveRequest) -> None:
         """Tell the station a velocity. The page hears of refusals alone."""
@@ -438,7 +459,9 @@ class ClientHub:
         reason, number = await self._in_turn(
             lambda: self._may_command(watcher) or self._void(request.seen_ms, ORDER_VALID_S),
             _refused,
-            lambda: self._source.station.request_gains(request.values, request.next_lap),
+            lambda: self._source.station.request_gains(
+                request.values, request.next_lap, request.seen_ms * 1e-3 + ORDER_VALID_S
+            ),
         )
         self._answer(watcher, request.n, "tune", reason, number)
 

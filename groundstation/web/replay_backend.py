@@ -282,7 +282,13 @@ class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
     def request(
-        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, text: str = ""
+        self,
+        order: CommandKind,
+        via: Sequence[tuple[float, float]] = (),
+        only: int = WHOLE_FLEET,
+        text: str = "",
+        until_s: float = math.inf,
+        asked_s: float = math.inf,
     ) -> tuple[str, int]:
         return "this is a recorded run", 0
 
@@ -292,7 +298,7 @@ class _NoRequests:
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         return "this is a recorded run"
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
         return "this is a recorded run", 0
 
 

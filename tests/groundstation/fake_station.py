@@ -1,5 +1,7 @@
 """A station's side of the page without a cycle: it views the fleet when asked, and notes what is requested."""
 
+import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -29,6 +31,7 @@ class FakeStation:
     drives: list[tuple[int, DriveVelocity]] = field(default_factory=list)
     preflight: tuple[Finding, ...] | None = None  # None: as the robots are
     paths: Mapping[int, tuple[Trajectory, float]] | None = None
+    asked_s: float = 0.0  # of the last request (s, monotonic)
     clock: Clock = field(default_factory=WallClock)
     inboxes: FleetInboxes = field(init=False)
 
@@ -42,8 +45,17 @@ class FakeStation:
         return replace(self.own_status, views=fleet, preflight=preflight)
 
     def request(
-        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, text: str = ""
+        self,
+        order: CommandKind,
+        via: Sequence[tuple[float, float]] = (),
+        only: int = 0,
+        text: str = "",
+        until_s: float = math.inf,
+        asked_s: float = math.inf,
     ) -> tuple[str, int]:
+        if time.monotonic() > until_s or self.asked_s > asked_s:
+            return "too late", 0
+        self.asked_s = time.monotonic()
         self.orders.append(order)
         self.robots_asked.append(only)
         self.via, self.only, self.text = via, only, text
@@ -56,5 +68,5 @@ class FakeStation:
         self.drives.append((robot, velocity))
         return "" if robot in self.experiment.robot_ids else f"no robot {robot}"
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
-        return "", 1
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
+        return ("too late", 0) if time.monotonic() > until_s else ("", 1)

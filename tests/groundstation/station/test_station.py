@@ -510,6 +510,15 @@ def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
         assert not nothing.accepted
 
 
+def test_a_request_that_was_long_in_the_making_is_not_done_after_another(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        begun_s = time.monotonic()
+        assert station.request(CommandKind.LOAD, asked_s=begun_s)[0] == ""
+        reason, number = station.request(CommandKind.LOAD, asked_s=begun_s)
+        assert "another request was made" in reason and number == 0
+        assert "another request" not in station.request(CommandKind.LOAD, asked_s=time.monotonic())[0]
+
+
 class _HandClock:
     """A clock that the test sets; every sender goes by it."""
 

@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import json
 import logging
+import math
 import os
 import select
 import socket
@@ -64,17 +65,23 @@ class ServedStation(FakeStation):
         self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
 
     def request(
-        self, order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = ""
+        self,
+        order: CommandKind,
+        via: Sequence[tuple[float, float]] = (),
+        only: int = 0,
+        text: str = "",
+        until_s: float = math.inf,
+        asked_s: float = math.inf,
     ) -> tuple[str, int]:
         if self.blocked is not None and order is not CommandKind.STOP:
             self.blocked.wait(PATIENCE_S)
-        accepted = super().request(order, via, only)
+        accepted = super().request(order, via, only, text, until_s, asked_s)
         return ("not now", 0) if order is CommandKind.HOLD else accepted
 
-    def request_gains(self, values: Any, next_lap: bool) -> tuple[str, int]:
+    def request_gains(self, values: Any, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
         if self.blocked is not None:
             self.blocked.wait(PATIENCE_S)
-        return super().request_gains(values, next_lap)
+        return super().request_gains(values, next_lap, until_s)
 
     def open(self, **options: Any) -> "PageClient":
         options.setdefault("origin", f"http://127.0.0.1:{self.port}")
@@ -281,9 +288,9 @@ def test_orders_are_done_in_the_order_in_which_they_were_given(lab: ServedStatio
     """Also where the first has to wait for the station's cycle: what was said last counts."""
     page, request = lab.open(), lab.request
 
-    def waits(order: CommandKind, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
+    def waits(order: CommandKind, *more: Any) -> tuple[str, int]:
         time.sleep(0.3 if order is CommandKind.RESUME else 0.0)
-        return request(order, via, only)
+        return request(order, *more)
 
     monkeypatch.setattr(lab, "request", waits)
     page.hello()
@@ -414,7 +421,7 @@ def test_an_answer_about_an_older_edit_never_comes_last(lab: ServedStation, monk
         ("attempt", {"kind": "try", "edit": {}}),
         ("drafted", {"kind": "draft", "order": "formation", "text": "line 0.8"}),
         ("save", {"kind": "save", "edit": {}, "name": "x"}),
-        ("flight_text", {"kind": "order", "order": "formation", "text": "line 0.8"}),
+        ("flight_text", {"kind": "order", "order": "path", "text": "pool"}),
     ],
 )
 def test_a_request_that_an_error_ends_is_numbers_with_the_reason(
@@ -630,6 +637,55 @@ def test_a_disk_that_hangs_as_a_page_is_opened_keeps_no_stop_waiting(
     assert third.hello()["scene"]["loadable"] == ["pool"]
 
 
+@pytest.mark.parametrize("meanwhile", [None, "hold", "disarm", "stop"])
+def test_a_path_that_is_read_from_a_slow_disk_delays_no_order_and_overtakes_none(
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch, meanwhile: str | None
+) -> None:
+    reads, release = threading.Event(), threading.Event()
+
+    def read(experiment: Experiment, order: CommandKind, text: str, edit: Any = None) -> str:
+        reads.set()
+        release.wait(PATIENCE_S)
+        return f"the text of {text}"
+
+    monkeypatch.setattr(client_hub, "flight_text", read)
+    monkeypatch.setattr(client_hub, "ORDER_VALID_S", PATIENCE_S)
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    page.order(0, "load")
+    page.say(kind="order", n=1, order="path", text="pool", seen_ms=page.clock_ms)
+    try:
+        assert reads.wait(PATIENCE_S)
+        if meanwhile is not None:
+            page.order(2, meanwhile)
+            page.until(lambda f: f["k"] == "reply" and f["n"] == 2)
+            assert not release.is_set()
+    finally:
+        release.set()
+    assert page.until(lambda f: f["k"] == "reply" and f["n"] == 1)["ok"] == (meanwhile is None)
+    assert (CommandKind.PATH in lab.orders, lab.text == "the text of pool") == (meanwhile is None, meanwhile is None)
+    page.say(kind="order", n=3, order="path", text="pool", seen_ms=page.clock_ms)
+    assert page.until(lambda f: f["k"] == "reply" and f["n"] == 3)["ok"]
+
+
+def test_a_path_that_is_read_too_slowly_is_not_flown(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read(experiment: Experiment, order: CommandKind, text: str, edit: Any = None) -> str:
+        monkeypatch.setattr(client_hub, "ORDER_VALID_S", 0.0)
+        return text
+
+    monkeypatch.setattr(client_hub, "flight_text", read)
+    monkeypatch.setattr(client_hub, "ORDER_VALID_S", PATIENCE_S)
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    page.say(kind="order", n=1, order="path", text="pool", seen_ms=page.clock_ms)
+    assert page.until(lambda f: f["k"] == "reply")["reason"].endswith("late, and was not done")
+    assert lab.orders == []
+
+
 def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> None:
     """A station that hung, or a link that did: what the operator saw when he gave it is past. What only takes power away is
     never too late."""
@@ -673,6 +729,23 @@ def test_an_order_that_waited_long_for_others_is_not_done(lab: ServedStation, mo
     replies = [page.until(lambda f: f["k"] == "reply") for _ in range(4)]
     assert [(reply["n"], reply["ok"]) for reply in replies] == [(0, True), (1, False), (2, False), (3, True)]
     assert lab.orders == [CommandKind.LOAD, CommandKind.DISARM] and lab.drives == []
+
+
+def test_what_waited_long_for_the_station_s_cycle_is_not_done(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    release = lab.blocked = threading.Event()
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    monkeypatch.setattr(client_hub, "ORDER_VALID_S", 0.5)
+    page.order(1, "start")
+    page.say(kind="tune", n=2, values=None, next_lap=False, seen_ms=page.clock_ms)
+    page.order(3, "disarm")
+    time.sleep(1.0)
+    release.set()
+    replies = [page.until(lambda f: f["k"] == "reply") for _ in range(3)]
+    assert {reply["n"]: reply["ok"] for reply in replies} == {1: False, 2: False, 3: True}
+    assert lab.orders == [CommandKind.DISARM]
 
 
 def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_ended(lab: ServedStation) -> None:
