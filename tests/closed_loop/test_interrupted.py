@@ -3,6 +3,7 @@
 At several rates, and with another robot: HOLD holds for a minute, RESUME goes on near the path, also from a HOLD that has not
 come to rest, and after STOP nobody thrusts."""
 
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -64,7 +65,7 @@ def test_robots_hold_go_on_and_stop_as_they_are_told(name: str, seed: int, tmp_p
         time_s = steps * experiment.controller.period_s
         if orders and time_s >= orders[0][0]:
             order = Command(orders.pop(0)[1], WHOLE_FLEET)
-            answer = bus.command(order, 1, 1.0, to=WHOLE_FLEET)
+            answer = bus.command(order, time.monotonic_ns(), 10.0, to=WHOLE_FLEET)
             assert answer.accepted, (order, answer.reason)
         since_s, last = max(((at_s, kind) for at_s, kind in ORDERS if at_s <= time_s), default=(0.0, None))
         for i, state in enumerate(states):
