@@ -731,7 +731,9 @@ def test_an_order_that_waited_long_for_others_is_not_done(lab: ServedStation, mo
     assert lab.orders == [CommandKind.LOAD, CommandKind.DISARM] and lab.drives == []
 
 
-def test_what_waited_long_for_the_station_s_cycle_is_not_done(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_order_that_waited_long_for_the_station_s_cycle_is_not_done(
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
     release = lab.blocked = threading.Event()
     page = lab.open()
     page.hello()
