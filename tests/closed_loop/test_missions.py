@@ -210,28 +210,32 @@ def test_a_person_sends_the_formation_elsewhere_under_way() -> None:
 
 
 def lagging(*settings: str) -> tuple[CrewedPool, float]:
-    """A formation with a robot that has a sixth of its thrust from 3 s on, and its worst error in the 14 s after that."""
+    """A formation with a robot that has 0.3 of its thrust from 3 s on, and its worst error in the 14 s after that."""
     pool = flying("blocked-path", "sim.drifters=[]", "path.speed_mps=0.25", "duration_s=45", *settings)
     pool.run(3.0)
     healthy = pool.world.faults.actuators
     thrust = healthy.thrust.copy()
-    thrust[1] = 0.15
+    thrust[1] = 0.3
     pool.world.faults.actuators = ActuatorFaults(thrust, healthy.sag_v)
     begin = len(pool.truth)
     pool.run(14.0)
     return pool, max(
-        float(np.hypot(*(required(s.estimate).eta - required(s.control).eta_reference)[:2]))
+        float(np.hypot(*(required(s.estimate).eta - s.control.eta_reference)[:2]))
         for s in pool.robots[1].states[begin:]
+        if s.control is not None
     )
 
 
 @pytest.mark.slow
 def test_the_formation_waits_for_a_robot_that_lags() -> None:
+    """Alone it falls behind until its watch stops it; where the others wait for it, all fly on."""
     without, far = lagging()
-    waited, near = lagging("mission.wait_from_m=0.1", "mission.wait_at_m=0.4")
+    waited, near = lagging("mission.wait_from_m=0.04", "mission.wait_at_m=0.15")
+    assert without.mission.state is MissionState.FAILED and "robot 2: fault (off its path" in without.mission.reason
     assert without.mission.governor.lag_s == 0.0 and MissionState.SLOWED not in without.phases
-    assert far > 0.8 and near < 0.4
+    assert far > 0.3 and near < 0.15
     assert MissionState.SLOWED in waited.phases and waited.mission.governor.lag_s > 2.0
+    assert {robot.states[-1].mode for robot in waited.robots} == {Mode.TRACKING}
     reached = [robot.states[-1].trajectory_s for robot in waited.robots]
     assert np.ptp(reached) < 1e-9  # all at the same place of the plan, though one is slow
     goal = np.array(waited.references[-300:])
@@ -269,7 +273,8 @@ def test_a_robot_is_lost(policy: str, ends_in: MissionState) -> None:
 
 @pytest.mark.slow
 def test_those_who_held_for_a_lost_robot_go_on_past_it_when_asked() -> None:
-    """It coasts towards the place of the one before it, and lies there when a person lets the others go on."""
+    """It coasts towards the place of the one before it, and lies there when a person lets the others go on. They keep clear of
+    the end of its last plan too, as of all silent robots, before they are on their path."""
     pool = flying("blocked-path", "sim.drifters=[]", 'mission.lost="hold"')
     pool.run(6.0)
     lose(pool, 1)
@@ -279,20 +284,14 @@ def test_those_who_held_for_a_lost_robot_go_on_past_it_when_asked() -> None:
     assert pool.request(CommandKind.RESUME) == ""
     pool.until(MissionState.DEGRADED, within_s=15.0)
     assert MissionState.RELOADING in pool.phases  # straight back to the plan, and they would have been beside it
-    pool.run(12.0)
+    pool.run(30.0)
     assert pool.mission.state is MissionState.DEGRADED and "robot 2: silent" in pool.mission.reason
     assert {pool.robots[i].states[-1].mode for i in (0, 2)} == {Mode.TRACKING}
     assert pool.separation_m(begin) > 0.5
     for i in (0, 2):
-        assert (
-            np.hypot(
-                *(
-                    required(pool.robots[i].states[-1].estimate).eta
-                    - required(pool.robots[i].states[-1].control).eta_reference
-                )[:2]
-            )
-            < 0.15
-        )
+        state = pool.robots[i].states[-1]
+        error_m = (required(state.estimate).eta - required(state.control).eta_reference)[:2]
+        assert np.hypot(*error_m) < 0.05
 
 
 @pytest.mark.slow

@@ -317,6 +317,7 @@ def test_the_clock_is_the_formations_and_not_that_of_a_robot_that_flies_alone(de
     page = desk.page
     state = RobotState(mode=Mode.TRACKING, trajectory_id="alone-x", trajectory_s=185.0)
     desk.robots.publish(topics.STATE, state, time.time_ns(), 2)
-    desk.own_status = replace(desk.own_status, began_ns=desk.clock.now_ns() - 65 * 10**9)
+    began_ns = desk.clock.now_ns() - 65 * 10**9
+    desk.own_status = replace(desk.own_status, state=MissionState.RUNNING, began_ns=began_ns, left_s=61.0)
     expect(tile(page, 2)).to_have_attribute("data-mode", "TRACKING")
     expect(page.locator("header .clock")).to_have_text(re.compile(r"^1:0\d / "))
