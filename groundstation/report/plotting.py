@@ -196,7 +196,9 @@ def _bars(plot: BarPlot) -> Figure:
             spans = [(bar.begin_s, bar.length_s) for bar in bars if (bar.colour, bar.label) == (colour, label)]
             axes.broken_barh(spans, (row - 0.38, 0.76), color=colour, label=label or None)
     for sign, meaning, times in plot.marks:
-        axes.plot(times, [len(plot.rows)] * len(times), sign, color="black", markersize=5, linestyle="", label=meaning)
+        places = [len(plot.rows)] * len(times)
+        for line in axes.plot(times, places, sign, color="black", markersize=5, linestyle="", label=meaning):
+            line.set_clip_on(False)  # whole at the edges too
     axes.set_xlim(plot.begin_s, plot.end_s)
     with mpl.rc_context({"legend.markerscale": 1.0}):
         legend(figure, axes)

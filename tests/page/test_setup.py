@@ -217,6 +217,25 @@ def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
     page.context.close()
 
 
+def test_a_point_whose_place_is_not_whole_is_not_taken(
+    browser: Browser, program: tuple[psutil.Popen, str], traffic: PageTraffic
+) -> None:
+    """Not with the number that stood in the field before."""
+    page = _open(browser, program[1], traffic)
+    _step(page, "Survey")
+    field = page.get_by_label("x, m", exact=True)
+    field.fill("-1.2")
+    field.fill("")
+    page.mouse.click(*_at(page, np.array([300.0, 200.0])))
+    expect(page.locator(".problem")).to_contain_text("point 1: the place needs x")
+    expect(field).to_have_value("")
+    expect(page.get_by_role("button", name="Remove point 1")).to_have_count(0)
+    field.fill("0.5")
+    page.mouse.click(*_at(page, np.array([300.0, 200.0])))
+    expect(page.get_by_role("row", name="point 1")).to_contain_text("0.5, 0, 0")
+    page.context.close()
+
+
 def test_the_difference_to_be_saved_is_what_all_pages_have_made_of_it(
     browser: Browser, program: tuple[psutil.Popen, str], traffic: PageTraffic
 ) -> None:

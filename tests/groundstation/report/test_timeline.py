@@ -1,9 +1,11 @@
 """A report's figures of limits, links and time, against states and records of known content."""
 
+import io
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -158,3 +160,16 @@ def read_log_of_nothing(folder: Path) -> RunLog:
     path = folder / "run.mcap"
     path.write_bytes(b"")
     return read_log(path)
+
+
+def test_an_instant_at_the_edge_is_drawn_whole() -> None:
+    figure = picture(BarPlot([("robot 1", [])], 0.0, 10.0, [("v", "noticed", [10.0])]))
+    assert figure is not None
+    png = io.BytesIO()
+    figure.savefig(png, format="png", dpi=figure.dpi)
+    shown = cv2.imdecode(np.frombuffer(png.getvalue(), np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None
+    is_black = np.all(shown[::-1] < 60, axis=2)  # from the bottom, as the axes count
+    box = figure.axes[0].bbox
+    beside = is_black[int(box.y0) + 2 : int(box.y1) - 2, int(box.x1) + 2 :]
+    assert beside.any()

@@ -74,7 +74,15 @@ function Answer({ what }: { what: What }) {
   const answer = drafted.value;
   if (words(what) === "") return <p class="hint">{what === "path" ? "Choose an experiment: its path and places are flown, with the robots of this run." : "Choose a shape, an order or a turn."}</p>;
   if (answer === null || answer.n !== question.value) return <p class="hint">asking the planner …</p>;
-  if (!answer.ok) return <p class="reason" role="status">✕ {answer.problems[0]}</p>;
+  if (!answer.ok)
+    return (
+      <>
+        <p class="reason" role="status">
+          ✕ {answer.problems[0]}
+        </p>
+        {what === "formation" && <p class="hint">Another spacing, turn or order may do.</p>}
+      </>
+    );
   return (
     <>
       <p class="good" role="status">

@@ -3,12 +3,13 @@
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 import { NumberInput } from "../NumberInput";
-import { ask, state, type Pixel, type Place, type Point, type State } from "./api";
+import { ask, problem, state, type Pixel, type Place, type Point, type State } from "./api";
 import { draggedCorner } from "./Masks";
 import { handles } from "./Picture";
 
+const AXES = ["x", "y", "z"] as const;
 const name = signal("point 1");
-const place = signal<Place>([0, 0, 0]);
+const place = signal<Place>([0, 0, 0]); // NaN: nothing is typed
 const marker = signal<number | null>(null);
 const found = signal<number[]>([]);
 
@@ -16,6 +17,10 @@ function choose(point: { name: string; pool_m: Place; marker_id?: number | null 
   name.value = point.name;
   place.value = [...point.pool_m];
   marker.value = point.marker_id ?? null;
+}
+
+function setAxis(i: number, value: number): void {
+  place.value = place.value.map((old, k) => (k === i ? value : old)) as Place;
 }
 
 function next(points: Point[]): void {
@@ -27,7 +32,11 @@ function next(points: Point[]): void {
 
 /** Send the point that the fields hold; then offer the next name, unless another one was typed in the meantime. */
 async function put(given: object): Promise<void> {
-  const sent = name.value;
+  const [sent, missing] = [name.value, AXES.filter((_, i) => Number.isNaN(place.value[i]!))];
+  if (missing.length > 0) {
+    problem.value = `${sent}: the place needs ${missing.join(", ")} in m`;
+    return;
+  }
   await ask("point", { name: sent, pool_m: place.value, ...given });
   if (state.value !== null && name.value === sent) next(state.value.survey.points);
 }
@@ -128,14 +137,15 @@ function PointForm({ s }: { s: State }) {
         </select>
       </div>
       <div class="row">
-        {(["x", "y", "z"] as const).map((axis, i) => (
+        {AXES.map((axis, i) => (
           <label key={axis} class="axis">
             {axis}
             <NumberInput
               aria-label={`${axis}, m`}
               step={0.001}
               value={place.value[i]!}
-              onNumber={(value) => (place.value = place.value.map((old, k) => (k === i ? value : old)) as Place)}
+              onNumber={(value) => setAxis(i, value)}
+              onEmpty={() => setAxis(i, NaN)}
             />
             m
           </label>
@@ -190,14 +200,13 @@ export function Survey() {
         <label class="row">
           <input type="checkbox" checked={s.grid_depth_m !== null} onChange={(event) => void ask("grid", { depth_m: event.currentTarget.checked ? 0.3 : null })} />
           Grid at depth
-          <input
-            type="number"
+          <NumberInput
             class="depth"
             aria-label="Depth of the grid, m"
             step={0.1}
             value={s.grid_depth_m ?? 0.3}
             disabled={s.grid_depth_m === null}
-            onChange={(event) => void ask("grid", { depth_m: event.currentTarget.valueAsNumber })}
+            onNumber={(value) => void ask("grid", { depth_m: value })}
           />
           m
         </label>
