@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from shoal.bus.command_deduplication import ALWAYS_TAKEN, CommandDeduplicator
-from shoal.bus.delay_estimator import DelayEstimator, SenderDelays
+from shoal.bus.delay_estimator import WINDOWS, DelayEstimator, SenderDelays
 from shoal.bus.transport import Answer, Await, Transport
 from shoal.errors import ConfigError, Unreached
 from shoal.messages import topics
@@ -174,7 +174,7 @@ def _claim_of(key: str) -> tuple[str, int]:
 
 class _Recipient(NamedTuple):
     session: int
-    took_s: float  # from the command by which it was met to its reply
+    took_s: tuple[float, ...]  # from each of the last commands to its reply
 
 
 class _SentCommand(NamedTuple):
@@ -373,14 +373,14 @@ class Bus:
         started again is refused: what it was meant for is no more. So is a second try that would come after a later order.
 
         A request (`to`) lives no longer than its sender waits. The recipient measures how long it was held up beyond the
-        fastest command of this sender, so what that took is taken off."""
+        fastest command of this sender of late, so what the fastest took is taken off."""
         if command.robot in self.unreachable:
             return lambda: self._read(command, "", None, f"no answer within {timeout_s:g} s")
         key = self._key(topics.COMMAND_KEY.format(robot=command.robot if to is None else to))
         met, asked_s = self._recipients.get(key), time.monotonic()
 
         def named(recipient: _Recipient) -> Command:
-            lives_s = command.time_to_live_s if to is None else max(timeout_s - recipient.took_s - REPLY_S, 0.0)
+            lives_s = command.time_to_live_s if to is None else max(timeout_s - min(recipient.took_s) - REPLY_S, 0.0)
             return replace(command, recipient=recipient.session, time_to_live_s=lives_s)
 
         first = self._ask(key, command if met is None else named(met), stamp_ns, timeout_s)
@@ -392,12 +392,20 @@ class Bus:
             is_late = time.monotonic() - asked_s >= timeout_s
             return self._read(command, key, data, f"no answer within {timeout_s:g} s" if is_late else NOBODY)
 
+        def note(process: int, took_s: float) -> None:
+            """Remember who has answered, and how fast of late: a first word that came late says nothing about the others."""
+            known = self._recipients.get(key)
+            if process and known is not None and process == known.session:
+                if to is not None:
+                    self._recipients[key] = _Recipient(process, (*known.took_s, took_s)[-WINDOWS:])
+            elif process and (met is None or process != met.session):
+                self._recipients[key] = _Recipient(process, (took_s,))
+
         def reply() -> Reply:
             """Wait for the answer. A process that has only said who it is gets the order again, by its name."""
             first_reply, asked_again_s = read(first.answer, asked_s), time.monotonic()
             process, took_s = first_reply.session, asked_again_s - asked_s
-            if process and (met is None or process != met.session):
-                self._recipients[key] = _Recipient(process, took_s)
+            note(process, took_s)
             is_final = met is not None or not process or first_reply.accepted
             if is_final:
                 return first_reply
@@ -405,7 +413,9 @@ class Bus:
             again = self._ask(key, named(self._recipients[key]), again_ns, timeout_s, only_after=first.sequence)
             if again is None:
                 return Reply(command.robot, False, f"{command.order.name} was overtaken by a later order")
-            return read(again.answer, asked_again_s)
+            last_reply = read(again.answer, asked_again_s)
+            note(last_reply.session, time.monotonic() - asked_again_s)
+            return last_reply
 
         return reply
 

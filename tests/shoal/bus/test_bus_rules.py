@@ -265,6 +265,24 @@ def test_a_request_of_a_terminal_whose_first_word_came_late_lives_no_longer_than
     assert done == []
 
 
+def test_a_script_whose_first_word_came_late_is_heard_all_the_same_afterwards() -> None:
+    """Only that word was late. Had it been taken for the usual way, each later request would count as held up."""
+    hub = MemoryHub()
+    station, _ = _bus(hub)
+    station.serve(0, lambda header, command: Reply(0, True), expires=True)
+    wire = _HeldWire(hub, station)
+
+    def late_first_word(key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
+        time.sleep(2.0)
+        wire.ask = usual  # type: ignore[method-assign]
+        return usual(key, payload, header, timeout_s)
+
+    usual, wire.ask = wire.ask, late_first_word  # type: ignore[method-assign]
+    script = Bus(wire)
+    asked = (script.command(Command(CommandKind.HOLD, 0), time.monotonic_ns(), 2.2, to=0) for _ in range(20))
+    assert any(reply.accepted for reply in asked)
+
+
 def _known(dedup: CommandDeduplicator, session: int, sequence: int) -> Reply | None:
     return dedup.known_reply(Header(session, sequence, 0), Command(CommandKind.ARM, 1, recipient=5))
 
