@@ -373,11 +373,11 @@ def _asked_in_vain(series: Series) -> str:
     """Sentence about a start after the last flight, by which nobody flew; empty if there was none."""
     over_s = max(((flight.over_ns - series.start_ns) * 1e-9 for flight in series.flights), default=math.inf)
     reports = [e for e in series.timeline_events if e.source == "groundstation" and e.last_s > over_s]
-    starts = [k for k, e in enumerate(reports) if e.text == STARTED]
-    if not starts:
+    at_s = max((e.last_s for e in reports if e.text == STARTED), default=None)
+    if at_s is None:
         return ""
-    ends = (e.text.removeprefix("mission: ") for e in reports[starts[-1] + 1 :] if e.text.startswith(ENDS))
-    why, at_s = next(ends, ""), reports[starts[-1]].last_s
+    ends = [e for e in reports if e.last_s >= at_s and e.text.startswith(ENDS)]  # one that repeats began before, perhaps
+    why = min(ends, key=lambda e: e.last_s).text.removeprefix("mission: ") if ends else ""
     return f"At {at_s:.1f} s, after this, another start was asked for, and nobody flew{f': {why}' if why else ''}."
 
 

@@ -92,6 +92,9 @@ def test_of_two_flights_the_last_is_judged_alone(flown: tuple[Experiment, RunLog
     [
         (("START asked for", "mission: aborting: robot 2 does not follow ARM", "mission: failed"),
          ", and nobody flew: aborting: robot 2 does not follow ARM."),
+        (("START asked for", "mission: aborting: robot 1: no pose", "START asked for", "mission: emergency stop"),
+         ", and nobody flew: emergency stop."),
+        (("mission: emergency stop", "START asked for", "mission: emergency stop"), ", and nobody flew: emergency stop."),
         (("START asked for", "mission: loading trajectories"), ", and nobody flew."),
         (("TEST asked for", "mission: failed"), None),
         (("START refused: robot 2: not heard",), None),
