@@ -369,10 +369,11 @@ class Station:
         until_s = time.monotonic() + DRAFT_S
         return make(lambda: time.monotonic() > until_s)
 
-    def drive(self, robot: int, velocity: DriveVelocity) -> str:
-        """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
-        with self.lock:
-            return self.core.drive(robot, velocity, self.fleet(), self.clock.now_ns())
+    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
+        """Take a person's newest velocity for one robot, not after `until_s` (s, monotonic). Returns the reason of a refusal,
+        or nothing."""
+        with self._turn(until_s) as reason:
+            return reason or self.core.drive(robot, velocity, self.fleet(), self.clock.now_ns())
 
     def come_to_rest(self) -> bool:
         """Hold every robot that moves: the station is about to leave. Returns False once none that is heard moves."""

@@ -75,8 +75,9 @@ class OperatorRequests(Protocol):
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         """Plan another form, or another experiment's path, without flying it. Raises PlanError."""
 
-    def drive(self, robot: int, velocity: DriveVelocity) -> str:
-        """Move one robot at a velocity; it holds when none comes any more. Returns the reason of a refusal, or nothing."""
+    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
+        """Move one robot at a velocity; it holds when none comes any more. It is not done after `until_s` (s, monotonic).
+        Returns the reason of a refusal, or nothing."""
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
         """Change gains; None: go back to those before. It is not done after `until_s` (s, monotonic)."""

@@ -450,7 +450,7 @@ class ClientHub:
         reason = await self._in_turn(
             lambda: self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S),
             str,
-            lambda: self._source.station.drive(drive.robot, velocity),
+            lambda: self._source.station.drive(drive.robot, velocity, drive.seen_ms * 1e-3 + DRIVE_VALID_S),
         )
         if reason:
             watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})

@@ -295,7 +295,7 @@ class _NoRequests:
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError("this is a recorded run")
 
-    def drive(self, robot: int, velocity: DriveVelocity) -> str:
+    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
         return "this is a recorded run"
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:

@@ -64,7 +64,9 @@ class FakeStation:
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError(f"{text}: nothing flies here")
 
-    def drive(self, robot: int, velocity: DriveVelocity) -> str:
+    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
+        if time.monotonic() > until_s:
+            return "too late"
         self.drives.append((robot, velocity))
         return "" if robot in self.experiment.robot_ids else f"no robot {robot}"
 

@@ -622,6 +622,19 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
         fleet.until(station, lambda: set(fleet.modes.values()) == {Mode.STOPPED})
 
 
+def test_a_velocity_that_came_to_its_turn_too_late_leads_no_robot(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.modes = {1: Mode.HOLDING, 2: Mode.HOLDING}
+        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
+        ahead = DriveVelocity(0.1, 0.0, 0.0)
+        assert station.drive(2, ahead, time.monotonic() - 0.1) == HELD_UP
+        assert not station.mission.roster.led_by_people
+        assert station.drive(2, ahead, time.monotonic() + PATIENCE_S) == ""
+        assert station.mission.roster.led_by_people == {2}
+
+
 def test_a_station_whose_cycle_stands_still_does_not_do_later_what_nobody_waits_for(tmp_path: Path) -> None:
     hub, begun, replies = MemoryHub(), threading.Event(), list[Reply]()
     load, gains = Command(CommandKind.LOAD, WHOLE_FLEET), Command(CommandKind.TUNE, WHOLE_FLEET, tuning=Tuning(""))

@@ -38,7 +38,7 @@ from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import codec, topics
-from shoal.messages.messages import CommandKind, Event, Mode, Outcome, Preview, Progress, RobotState, Trajectory
+from shoal.messages.messages import CommandKind, DriveVelocity, Event, Mode, Outcome, Preview, Progress, RobotState, Trajectory
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, body_fits
 from tests.groundstation.fake_station import FakeStation
@@ -77,6 +77,11 @@ class ServedStation(FakeStation):
             self.blocked.wait(PATIENCE_S)
         accepted = super().request(order, via, only, text, until_s, asked_s)
         return ("not now", 0) if order is CommandKind.HOLD else accepted
+
+    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
+        if self.blocked is not None:
+            self.blocked.wait(PATIENCE_S)
+        return super().drive(robot, velocity, until_s)
 
     def request_gains(self, values: Any, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
         if self.blocked is not None:
@@ -748,6 +753,22 @@ def test_an_order_that_waited_long_for_the_station_s_cycle_is_not_done(
     replies = [page.until(lambda f: f["k"] == "reply") for _ in range(3)]
     assert {reply["n"]: reply["ok"] for reply in replies} == {1: False, 2: False, 3: True}
     assert lab.orders == [CommandKind.DISARM]
+
+
+def test_a_velocity_that_waited_long_for_the_station_s_cycle_moves_no_robot(
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    release = lab.blocked = threading.Event()
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    monkeypatch.setattr(client_hub, "DRIVE_VALID_S", 0.5)
+    page.say(kind="drive", robot=1, surge_mps=0.1, heave_mps=0.0, yaw_rate_radps=0.0, seen_ms=page.clock_ms)
+    time.sleep(1.0)
+    release.set()
+    assert "late" in page.until(lambda f: f["k"] == "undriven")["reason"]
+    assert lab.drives == []
 
 
 def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_ended(lab: ServedStation) -> None:
