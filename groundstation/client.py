@@ -20,7 +20,7 @@ from groundstation.gate.own_door import DoorTransport, opens
 from groundstation.mission.state_machine import in_words
 from groundstation.station import discovery
 from groundstation.station.discovery import RunningStation
-from shoal.bus.bus import Bus
+from shoal.bus.bus import Bus, request_clock_ns
 from shoal.bus.network import endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import NO_CAMERA, Experiment, dump_flight, load_experiment
@@ -75,13 +75,7 @@ def _connected(
 def sender(bus: Bus) -> Callable[[Command], Reply]:
     """Function that sends a request, also one for a single robot, to the station and waits for the reply. A station that is
     held up for longer does not carry it out any more."""
-    return lambda command: bus.command(command, _clock_ns(), ORDER_TIMEOUT_S, to=WHOLE_FLEET)
-
-
-def _clock_ns() -> int:
-    """Time of a request, by a clock that goes on while this machine sleeps: by one that stands then, all that is asked for
-    afterwards would look as if it had been held up."""
-    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.time_ns()
+    return lambda command: bus.command(command, request_clock_ns(), ORDER_TIMEOUT_S, to=WHOLE_FLEET)
 
 
 def go_command(places_m: ArrayLike, robot: int = WHOLE_FLEET) -> Command:

@@ -166,6 +166,12 @@ class Inbox(Generic[M]):
         return Received(message, kept.header, kept.arrived_ns, kept.late_ns)
 
 
+def request_clock_ns() -> int:
+    """Time of requests, by a clock that goes on while this machine sleeps. By one that stands then, all that a sender asks for
+    after its sleep would look held up, and what came while the recipient slept as if it had just been sent."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.time_ns()
+
+
 def _claim_of(key: str) -> tuple[str, int]:
     """State and session of a claim's key."""
     state, session = key.split("/")[-2:]
@@ -310,10 +316,10 @@ class Bus:
         delays = SenderDelays()
 
         def left(command: Command, since_ns: int) -> Command:
-            """A command that was sent at `since_ns`, on our clock, with what is left of its time to live."""
+            """A command that was sent at `since_ns`, on our clock of requests, with what is left of its time to live."""
             if not expires:
                 return command
-            return replace(command, time_to_live_s=command.time_to_live_s - (time.monotonic_ns() - since_ns) * 1e-9)
+            return replace(command, time_to_live_s=command.time_to_live_s - (request_clock_ns() - since_ns) * 1e-9)
 
         def handled(header: Header, command: Command) -> Reply:
             if command.time_to_live_s < 0.0 and command.order not in ALWAYS_TAKEN | {CommandKind.NONE}:
@@ -325,7 +331,7 @@ class Bus:
                 return Reply(robot, False, f"{command.order.name} failed: {type(error).__name__}: {error}")
 
         def answer(payload: bytes, header: bytes) -> bytes:
-            arrived_ns = time.monotonic_ns()
+            arrived_ns = request_clock_ns()
             try:
                 decoded = Header.decode(header, "unknown peer", name)
                 command = decode(Command, payload, f"session {decoded.session:x}", name)

@@ -240,6 +240,29 @@ def test_a_request_that_was_held_up_until_its_sender_gave_up_is_not_done(order: 
     assert done[-1] is wanted
 
 
+@pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="the system has no clock that counts a machine's sleep")
+def test_a_request_that_waited_while_the_stations_machine_slept_is_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its monotonic clock stood meanwhile: by that the request has just been sent."""
+    hub, done = MemoryHub(), list[CommandKind]()
+    station, _ = _bus(hub)
+
+    def handle(header: Header, command: Command) -> Reply:
+        done.append(command.order)
+        return Reply(0, True)
+
+    station.serve(0, handle, expires=True)
+    wire = _HeldWire(hub, station)
+    terminal = Bus(wire)
+    assert terminal.command(Command(CommandKind.LOAD, 0), time.monotonic_ns(), 60.0, to=0).accepted
+    wire.holds, sleeps_ns, awake_ns = True, time.monotonic_ns(), time.monotonic_ns
+    assert terminal.command(Command(CommandKind.START, 0), time.monotonic_ns(), 0.5, to=0).silent
+    slept_ns = awake_ns() - sleeps_ns
+    monkeypatch.setattr(time, "monotonic_ns", lambda: awake_ns() - slept_ns)
+    (late,) = wire.deliver()
+    assert not late.accepted and "nobody waits for it any more" in late.reason
+    assert done == [CommandKind.LOAD]
+
+
 def test_a_request_of_a_terminal_whose_first_word_came_late_lives_no_longer_than_it_waits() -> None:
     """The recipient measures from the first word; the sender knows how long that took."""
     hub, done = MemoryHub(), list[CommandKind]()
