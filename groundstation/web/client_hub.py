@@ -24,6 +24,7 @@ from groundstation.web.backend import Backend
 from groundstation.web.experiment_editor import attempt, drafted, flight_text, loadable, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
+from shoal.bus.bus import request_clock_ns
 from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.errors import ConfigError
 from shoal.messages.messages import WHOLE_FLEET, CommandKind, DriveVelocity
@@ -191,7 +192,7 @@ class ClientHub:
         frame = {
             "k": "picture",
             "stamp_ms": time.time() * 1e3,
-            "clock_ms": int(time.monotonic() * 1e3),
+            "clock_ms": request_clock_ns() // 1_000_000,
             "camera": camera,
             "age_ms": picture.age_ms,
             "time_s": picture.time_s,
@@ -212,7 +213,7 @@ class ClientHub:
             "stamp_ms": time.time() * 1e3,
             "holder": self._lease.holder,
             "watchers": len(self._watchers),
-            "clock_ms": int(time.monotonic() * 1e3),  # comes back with a request
+            "clock_ms": request_clock_ns() // 1_000_000,  # comes back with a request
         }
         body = packed(head | self._source.snapshot())
         self._each(lambda w: w.window.offer("state", body))
@@ -397,7 +398,7 @@ class ClientHub:
 
     def _void(self, seen_ms: int, valid_s: float) -> str:
         """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
-        late_s = time.monotonic() - seen_ms * 1e-3
+        late_s = _age_s(seen_ms)
         if late_s < -1.0:  # a page that was open when this computer started anew, and has seen nothing of this station
             return "this is about a run before this computer's start, and was not done"
         return f"this came {late_s:.0f} s late, and was not done" if late_s > valid_s else ""
@@ -405,7 +406,7 @@ class ClientHub:
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
         """Make a page's request of the station, and answer the page. Any page may stop the fleet, however late it comes."""
         order, station = order_named(request.order), self._source.station
-        until_s = math.inf if order in ALWAYS_TAKEN else request.seen_ms * 1e-3 + ORDER_VALID_S
+        until_s = math.inf if order in ALWAYS_TAKEN else _until_s(request.seen_ms, ORDER_VALID_S)
 
         def objection() -> str:
             late = "" if order in ALWAYS_TAKEN else self._void(request.seen_ms, ORDER_VALID_S)
@@ -450,7 +451,7 @@ class ClientHub:
         reason = await self._in_turn(
             lambda: self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S),
             str,
-            lambda: self._source.station.drive(drive.robot, velocity, drive.seen_ms * 1e-3 + DRIVE_VALID_S),
+            lambda: self._source.station.drive(drive.robot, velocity, _until_s(drive.seen_ms, DRIVE_VALID_S)),
         )
         if reason:
             watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})
@@ -460,7 +461,7 @@ class ClientHub:
             lambda: self._may_command(watcher) or self._void(request.seen_ms, ORDER_VALID_S),
             _refused,
             lambda: self._source.station.request_gains(
-                request.values, request.next_lap, request.seen_ms * 1e-3 + ORDER_VALID_S
+                request.values, request.next_lap, _until_s(request.seen_ms, ORDER_VALID_S)
             ),
         )
         self._answer(watcher, request.n, "tune", reason, number)
@@ -521,6 +522,16 @@ class ClientHub:
         else:
             answer = await self._at(self._runs, desk.empty_listing, desk.delete, request.run)
         watcher.answer(answer)
+
+
+def _age_s(seen_ms: int) -> float:
+    """Age of what a page has seen, by the clock that it was told, which goes on while this machine sleeps."""
+    return (request_clock_ns() - seen_ms * 1_000_000) * 1e-9
+
+
+def _until_s(seen_ms: int, valid_s: float) -> float:
+    """Instant (s, monotonic) until which a request counts, by what its page has seen."""
+    return time.monotonic() + valid_s - _age_s(seen_ms)
 
 
 def _refused(reason: str) -> tuple[str, int]:

@@ -712,6 +712,24 @@ def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> No
     assert lab.orders == [CommandKind.DISARM, CommandKind.STOP]
 
 
+@pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="the system has no clock that counts a machine's sleep")
+def test_an_order_that_came_while_the_station_s_machine_slept_is_not_done(
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    seen_ms, since_boot = page.clock_ms, time.clock_gettime_ns
+    monkeypatch.setattr(
+        time, "clock_gettime_ns", lambda clock: since_boot(clock) + (60 * 10**9 if clock == time.CLOCK_BOOTTIME else 0)
+    )
+    page.say(kind="order", n=1, order="start", seen_ms=seen_ms)
+    reply = page.until(lambda f: f["k"] == "reply")
+    assert not reply["ok"] and reply["reason"].endswith("late, and was not done")
+    assert lab.orders == []
+
+
 def test_an_order_that_waited_long_for_others_is_not_done(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     """One before them waits, as for a disk."""
     release = lab.blocked = threading.Event()
