@@ -400,10 +400,10 @@ class Bus:
 
         def note(process: int, took_s: float) -> None:
             """Remember who has answered, and how fast of late: a first word that came late says nothing about the others."""
-            known = self._recipients.get(key)
-            if process and known is not None and process == known.session:
+            before = self._recipients.get(key)
+            if process and before is not None and process == before.session:
                 if to is not None:
-                    self._recipients[key] = _Recipient(process, (*known.took_s, took_s)[-WINDOWS:])
+                    self._recipients[key] = _Recipient(process, (*before.took_s, took_s)[-WINDOWS:])
             elif process and (met is None or process != met.session):
                 self._recipients[key] = _Recipient(process, (took_s,))
 

@@ -302,8 +302,8 @@ def test_a_script_whose_first_word_came_late_is_heard_all_the_same_afterwards() 
 
     usual, wire.ask = wire.ask, late_first_word  # type: ignore[method-assign]
     script = Bus(wire)
-    asked = (script.command(Command(CommandKind.HOLD, 0), time.monotonic_ns(), 2.2, to=0) for _ in range(20))
-    assert any(reply.accepted for reply in asked)
+    replies = (script.command(Command(CommandKind.HOLD, 0), time.monotonic_ns(), 2.2, to=0) for _ in range(20))
+    assert any(reply.accepted for reply in replies)
 
 
 def _known(dedup: CommandDeduplicator, session: int, sequence: int) -> Reply | None:
