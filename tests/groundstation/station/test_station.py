@@ -29,7 +29,7 @@ from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
-from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station, workers
+from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, OVERTAKEN, Station, workers
 from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
 from shoal.bus.access_control import INSECURE
@@ -620,6 +620,14 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
         stop = operator.command(Command(CommandKind.STOP, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
         assert stop.outcome is not None
         fleet.until(station, lambda: set(fleet.modes.values()) == {Mode.STOPPED})
+
+
+def test_a_path_that_was_read_while_somebody_asked_for_something_else_is_not_flown(tmp_path: Path) -> None:
+    with a_station(tmp_path, MemoryHub()) as station:
+        path, asked_s = dump_experiment(load_experiment("figure-eight")), time.monotonic()
+        station.request(CommandKind.HOLD)  # also one that is refused: its sender may see to the fleet by something else
+        assert station.request(CommandKind.PATH, text=path, asked_s=asked_s)[0] == OVERTAKEN
+        assert station.request(CommandKind.PATH, text=path, asked_s=time.monotonic())[0] != OVERTAKEN
 
 
 def test_a_velocity_that_came_to_its_turn_too_late_leads_no_robot(tmp_path: Path) -> None:
