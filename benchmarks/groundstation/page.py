@@ -187,7 +187,7 @@ class _Station:
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError("nothing is planned here")
 
-    def drive(self, robot: int, velocity: DriveVelocity) -> str:
+    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
         return ""
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
