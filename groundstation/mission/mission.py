@@ -692,7 +692,10 @@ class Mission:
         blocked = not off_plan and self._may_replan and self.plans.first_contact(fleet)
         if not off_plan and not blocked:
             away_m, robot = self._go_on_from_rest(fleet, now_ns)
-            off_plan = [f"robot {robot} is {away_m:.2f} m from its place"] if away_m > ON_PATH_M else []
+            most_m = (
+                self._experiment.safety.join_within_m if self.roster.lost else ON_PATH_M
+            )  # a lost robot may bar every plan
+            off_plan = [f"robot {robot} is {away_m:.2f} m from its place"] if away_m > most_m else []
         if off_plan:
             self.plans.target_current()
             self._go(MissionEvent.OFF_PLAN, now_ns)
