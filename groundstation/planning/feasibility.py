@@ -66,15 +66,20 @@ def required_slowdown(experiment: Experiment, motions: Mapping[int, NodeMotion])
 
 def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], count: int) -> list[PlanFigure]:
     """Clearances, speeds and forces of a plan in its first `count` samples; no distance where there is nothing to be near."""
-    eta = [t.eta[:count, :3] for t in trajectories.values()]
+    eta = {robot: t.eta[:count, :3] for robot, t in trajectories.items()}
     keep_m = 2.0 * experiment.safety.radius_m
-    apart_m = [np.linalg.norm(a - b, axis=1) for a, b in combinations(eta, 2)]
+    pairs = list(combinations(trajectories, 2))
+    give_way = [_give_way(experiment, a, b) for a, b in pairs]
+    apart_m = [
+        np.linalg.norm(eta[a] - eta[b], axis=1)[-1 if late else 0 :] for (a, b), late in zip(pairs, give_way, strict=True)
+    ]
     nearest_m = min(apart_m, key=np.min, default=np.array([np.inf]))  # of the pair that comes nearest, over time
     least_m = float(nearest_m.min())
     begins_too_near = nearest_m[0] == least_m < keep_m - TOLERANCE
     moves_apart = nearest_m[-1] >= keep_m - TOLERANCE
     when = ", as they lie now" if begins_too_near and moves_apart else ""  # no plan can mend that
-    away_m = float(experiment.clearance_m(np.vstack(eta)).min())
+    when = when or (" at the end (before, robots give way)" if any(give_way) else "")
+    away_m = float(experiment.clearance_m(np.vstack(list(eta.values()))).min())
     listed = [
         PlanFigure(f"between centres{when}", "m", least_m, keep_m, True),
         PlanFigure("hulls to walls and islands", "m", away_m, 0.0, True),
@@ -133,14 +138,18 @@ def pair_problems(
     closest_m = 2.0 * experiment.safety.radius_m
     for a, b in combinations(sorted(motions), 2):
         check_time(out_of_time)
-        together = experiment.path_of(experiment.robot(a)) == experiment.path_of(experiment.robot(b))
-        counts = slice(count) if together else slice(count - 1, count)
+        counts = slice(count - 1 if _give_way(experiment, a, b) else 0, count)
         apart = np.full(count, np.inf)
         apart[counts] = np.linalg.norm(motions[a].eta[counts, :3] - motions[b].eta[counts, :3], axis=1)
         index = int(np.argmin(apart))
         if apart[index] < closest_m - TOLERANCE:
             short = f"{apart[index]:.3f} m apart, {closest_m - apart[index]:.3f} less than 2 safety.radius_m = {closest_m:g}"
             yield f"robots {a} and {b}: {short} {_moment(experiment, begin_s, index, motions[a].eta[index])}"
+
+
+def _give_way(experiment: Experiment, a: int, b: int) -> bool:
+    """True for two robots on different paths: they give way to each other in flight, and only their ends are kept apart."""
+    return experiment.path_of(experiment.robot(a)) != experiment.path_of(experiment.robot(b))
 
 
 def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:

@@ -483,13 +483,7 @@ class ClientHub:
 
     async def _preview_flight(self, watcher: Client, request: protocol.PreviewFlight) -> None:
         order, station = order_named(request.order), self._source.station
-        answer = await self._at(
-            self._plans,
-            _unfit,
-            drafted,
-            self._source.experiment,
-            lambda: station.draft(order, flight_text(self._source.experiment, order, request.text)),
-        )
+        answer = await self._at(self._plans, _unfit, drafted, self._source.experiment, order, request.text, station.draft)
         watcher.answer({"k": "drafted", "n": request.n} | answer)
 
     async def _save(self, watcher: Client, request: protocol.Save) -> None:

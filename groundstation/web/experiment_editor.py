@@ -17,7 +17,7 @@ from groundstation.planning.straight_sides import make_path
 from groundstation.web.commented_file import commented
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_samples, paths
-from shoal.config.experiment import EXPERIMENTS, Experiment, dump_experiment, load_experiment
+from shoal.config.experiment import EXPERIMENTS, Experiment, dump_experiment, load_experiment, with_flight
 from shoal.config.formation_shapes import shape_nodes
 from shoal.config.loader import check, read_toml
 from shoal.config.scene import Waypoints
@@ -155,11 +155,16 @@ def flight_text(experiment: Experiment, order: CommandKind, text: str, edit: Edi
     return dump_experiment(load_experiment(text))
 
 
-def drafted(experiment: Experiment, plan: Callable[[], PlanSegment]) -> dict[str, Any]:
+def drafted(
+    experiment: Experiment, order: CommandKind, text: str, plan: Callable[[CommandKind, str], PlanSegment]
+) -> dict[str, Any]:
     """Another form or path of the formation as it would be flown: its paths and its least distance, or the reason against
     it."""
     try:
-        segment = plan()
+        text = flight_text(experiment, order, text)
+        segment = plan(order, text)
+        if order is CommandKind.PATH:
+            experiment = with_flight(experiment, text)
     except ConfigError as error:
         return {"ok": False, "problems": str(error).splitlines()}
     ahead = round((segment.end_s - segment.centre.begin_s) / segment.centre.period_s)

@@ -317,3 +317,12 @@ def test_robots_that_lie_too_near_and_leave_are_told_from_a_plan_that_brings_the
     leaves = still + np.linspace(*apart_m, 50)[:, None] * [1.0, 0.0, 0.0, 0.0]
     plans = {r: Trajectory(f"t{r}", 0.05, eta, still, still) for r, eta in ((1, still), (2, leaves))}
     assert figures(pool(), plans, 50)[0].what == says
+
+
+@pytest.mark.parametrize("name", ["swap", "crossing-2", "crossing-4", "overtake"])
+def test_a_plan_that_can_be_flown_shows_no_figure_beyond_what_is_allowed(name: str) -> None:
+    """Robots on paths of their own give way to each other: how near their paths come says nothing against the plan."""
+    experiment = load_experiment(name)
+    for figure in figures(experiment, plan(experiment), round(experiment.duration_s / experiment.controller.period_s) + 1):
+        over = figure.limit - figure.value if figure.least else figure.value - figure.limit
+        assert over < 1e-6, figure

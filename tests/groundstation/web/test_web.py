@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.planning import planner
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
 from groundstation.web import experiment_editor, protocol
 from groundstation.web.alarms import alarms
@@ -24,12 +25,22 @@ from groundstation.web.scene import mesh
 from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, SendWindow
 from groundstation.web.snapshot import ellipse
 from shoal.bus.access_control import INSECURE
-from shoal.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment, with_flight
 from shoal.config.scene import Waypoints
 from shoal.errors import ConfigError
 from shoal.messages.camera_coverage import project
 from shoal.messages.live_gains import tunable_parameters
-from shoal.messages.messages import BoardReading, CameraHealth, LocalizerStatus, Mode, Pose, RobotState, StepTiming, Track
+from shoal.messages.messages import (
+    BoardReading,
+    CameraHealth,
+    CommandKind,
+    LocalizerStatus,
+    Mode,
+    Pose,
+    RobotState,
+    StepTiming,
+    Track,
+)
 from shoal.runtime.web_access import host_allowed, origin_allowed, token_allowed, web_options
 from sim_bridge.camera import optics
 
@@ -524,3 +535,17 @@ def test_every_label_of_a_gain_names_one_and_every_gain_has_a_label() -> None:
     source = (Path(protocol.__file__).parent / "page/src/panels/Tuning.tsx").read_text(encoding="utf-8")
     labels = re.findall(r'^  "([\w.]+)": \["', source, re.MULTILINE)
     assert sorted(labels) == sorted({re.sub(r"^controller\.|\.\d+$", "", key) for key in knobs})
+
+
+def test_another_path_that_can_be_flown_shows_no_figure_beyond_what_is_allowed() -> None:
+    """The figures are those of the path that a person has chosen, on which robots give way, not of the path being flown."""
+    run = load_experiment("pool")
+
+    def plan(order: CommandKind, text: str) -> PlanSegment:
+        trajectories = planner.plan(with_flight(run, text))
+        return PlanSegment(trajectories, trajectories[1], end_s=50.0)
+
+    drafted = experiment_editor.drafted(run, CommandKind.PATH, "swap", plan)
+    assert drafted["ok"]
+    apart = next(figure for figure in drafted["figures"] if figure["what"].startswith("between centres"))
+    assert apart["value"] >= apart["limit"]
