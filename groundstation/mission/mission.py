@@ -692,9 +692,8 @@ class Mission:
         blocked = not off_plan and self._may_replan and self.plans.first_contact(fleet)
         if not off_plan and not blocked:
             away_m, robot = self._go_on_from_rest(fleet, now_ns)
-            most_m = (
-                self._experiment.safety.join_within_m if self.roster.lost else ON_PATH_M
-            )  # a lost robot may bar every plan
+            # a lost robot may bar every plan from rest: the others then go on from farther beside their paths
+            most_m = self._experiment.safety.join_within_m if self.roster.lost else ON_PATH_M
             off_plan = [f"robot {robot} is {away_m:.2f} m from its place"] if away_m > most_m else []
         if off_plan:
             self.plans.target_current()

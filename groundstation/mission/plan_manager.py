@@ -14,7 +14,7 @@ from groundstation.mission.roster import Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.feasibility import OutOfTime, PlanError, never
 from groundstation.planning.replanning import replan
-from groundstation.planning.rest_to_rest import must_be_free, plan_regroup, plan_return
+from groundstation.planning.rest_to_rest import plan_regroup, plan_return
 from groundstation.planning.segment import PlanSegment, ceil_to_period, first_contact, first_segment
 from groundstation.planning.shift import in_form, reshape
 from groundstation.telemetry import Fleet, RobotView
@@ -146,12 +146,7 @@ class PlanManager:
         experiment, starts = self.flown, self.starts
         rests, obstacles = self._roster.rest_poses(fleet), self.discs_to_avoid(fleet)
         lying = self.monitor.discs_to_avoid(self._lost(fleet).values(), room_m=0.0)
-
-        def make(out_of_time: OutOfTime) -> PlanSegment:
-            must_be_free(experiment, rests, starts, lying)
-            return plan_return(experiment, begin_s, rests, starts, obstacles, out_of_time)
-
-        return make
+        return lambda out_of_time: plan_return(experiment, begin_s, rests, starts, obstacles, out_of_time, lying)
 
     def _plan_regroup(self, fleet: Fleet, begin_s: float) -> PlanMaker:
         """Purpose of a plan from rest: into the present slots, and on along the present path."""

@@ -19,8 +19,8 @@ from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.roster import TAKEN_OUT, Leader
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, ONE_ROBOT, WATER, MissionState, command_name
 from groundstation.mission.timetable import START_IN_S, Timetable
-from groundstation.planning.feasibility import OutOfTime, PlanError
-from groundstation.planning.rest_to_rest import SETTLE_S, must_be_free, plan_return
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView, foreign_poses, preflight
 from shoal.config.experiment import Experiment
@@ -361,13 +361,12 @@ class SingleRobotControl:
         rest = view.rest
         goal = np.array([*place_m, rest[2], rest[3]])
         self._planned_for = robot, task
-        rests, goals = {robot: rest}, {robot: goal}
-
-        def make(out_of_time: OutOfTime) -> PlanSegment:
-            must_be_free(experiment, rests, goals, away)
-            return plan_return(experiment, experiment.controller.period_s, rests, goals, away, out_of_time)
-
-        self.plan_request = PlanRequest(f"robot {robot} alone", make)
+        self.plan_request = PlanRequest(
+            f"robot {robot} alone",
+            lambda out_of_time: plan_return(
+                experiment, experiment.controller.period_s, {robot: rest}, {robot: goal}, away, out_of_time, away
+            ),
+        )
 
     def planned(self, outcome: PlanSegment | PlanError, fleet: Fleet, now_ns: int) -> None:
         """Take the outcome of the requested plan."""

@@ -36,24 +36,17 @@ def plan_return(
     starts: Rests,
     obstacles: Array = NO_OBSTACLES,
     out_of_time: OutOfTime = never,
+    lying: Array = NO_OBSTACLES,
 ) -> PlanSegment:
-    """Plan the return of the robots in `rests` from their rest poses to their starts."""
+    """Plan the return of the robots in `rests` from their rest poses to their starts. The ways lead around `obstacles`; none
+    may end on what is `lying` there. Raises PlanError."""
     goals = {r: starts[r] for r in rests}
+    _must_be_free(experiment, rests, goals, lying)
     motions = plan_transfers(experiment, rests, goals, keep_away(experiment, obstacles), out_of_time)
     period_s = experiment.controller.period_s
     trajectories = {r: planner.trajectory(_at_least_two(m), period_s, begin_s) for r, m in motions.items()}
     some = next(iter(trajectories.values()))
     return PlanSegment(trajectories, some, begin_s + (len(some.eta) - 1) * period_s + SETTLE_S, is_return=True)
-
-
-def must_be_free(experiment: Experiment, rests: Rests, goals: Rests, obstacles: Array) -> None:
-    """Raise PlanError if a hull would touch an obstacle (k, 3: x, y, radius) at its goal. A robot may move away from one."""
-    for robot, rest in rests.items():
-        there_m, here_m = (np.hypot(*(obstacles[:, :2] - at[:2]).T) - obstacles[:, 2] for at in (goals[robot], rest))
-        touching = (there_m < experiment.vehicle.radius_m) & (there_m < here_m)
-        if touching.any():
-            x, y, _ = obstacles[int(np.argmax(touching))]
-            raise PlanError(f"something lies at ({x:z.2f}, {y:z.2f}) m, where robot {robot} should come to rest: take it away")
 
 
 def plan_regroup(
@@ -135,6 +128,16 @@ def assign_slots(segment: PlanSegment, time_s: float, eta: Rests, slots: Sequenc
 def keep_away(experiment: Experiment, obstacles: Array) -> Array:
     """Obstacles (k, 3: x, y, radius) as discs that a robot's centre keeps out of."""
     return np.asarray(obstacles.reshape(-1, 3) + np.array([0.0, 0.0, experiment.safety.radius_m + DRIFT_M]))
+
+
+def _must_be_free(experiment: Experiment, rests: Rests, goals: Rests, obstacles: Array) -> None:
+    """Raise PlanError if a hull would touch an obstacle (k, 3: x, y, radius) at its goal. A robot may move away from one."""
+    for robot, rest in rests.items():
+        there_m, here_m = (np.hypot(*(obstacles[:, :2] - at[:2]).T) - obstacles[:, 2] for at in (goals[robot], rest))
+        touching = (there_m < experiment.vehicle.radius_m) & (there_m < here_m)
+        if touching.any():
+            x, y, _ = obstacles[int(np.argmax(touching))]
+            raise PlanError(f"something lies at ({x:z.2f}, {y:z.2f}) m, where robot {robot} should come to rest: take it away")
 
 
 def _at_least_two(motion: NodeMotion) -> NodeMotion:

@@ -312,7 +312,7 @@ class Bus:
         `expires`: a command is handed over with what is left of its time to live; one that was held up for longer is refused.
         Its sender waits no longer. A STOP, a DISARM and a query are answered however late."""
         name, deduplicator = topics.COMMAND_KEY.format(robot=robot), CommandDeduplicator(self.session)
-        turn, deduplicator_lock = threading.Lock(), threading.Lock()  # around a command; around the deduplicator
+        turn, deduplicator_lock = threading.Lock(), threading.Lock()  # around a command; around deduplicator and delays
         delays = SenderDelays()
 
         def left(command: Command, since_ns: int) -> Command:
@@ -338,8 +338,10 @@ class Bus:
             except DecodeError as error:
                 self.rejected += 1
                 return encode(Reply(robot, False, str(error)))
-            with deduplicator_lock:
-                since_ns = arrived_ns - delays.excess_ns(decoded, arrived_ns)
+            since_ns = arrived_ns
+            if expires:
+                with deduplicator_lock:
+                    since_ns -= delays.excess_ns(decoded, arrived_ns)
             with contextlib.nullcontext() if command.order is CommandKind.STOP else turn:
                 with deduplicator_lock:
                     reply = deduplicator.known_reply(decoded, command)
