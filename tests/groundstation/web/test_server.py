@@ -92,6 +92,14 @@ class ServedStation(FakeStation):
         options.setdefault("origin", f"http://127.0.0.1:{self.port}")
         return PageClient(self.opened.enter_context(connect(f"ws://127.0.0.1:{self.port}/live", max_size=None, **options)))
 
+    def open_in_control(self) -> "PageClient":
+        """A page that has said who it is, and has been given control."""
+        page = self.open()
+        page.hello()
+        page.say(kind="take")
+        page.until(lambda f: state(f) and f["holder"] != 0)
+        return page
+
 
 @dataclass
 class PageClient:
@@ -436,10 +444,7 @@ def test_a_request_that_an_error_ends_is_numbers_with_the_reason(
         raise KeyError("a bug")
 
     monkeypatch.setattr(f"groundstation.web.client_hub.{broken}", fails)
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     stamp = {"seen_ms": page.clock_ms} if request_of_page["kind"] == "order" else {}
     page.say(n=7, **request_of_page, **stamp)
     answer = page.until(lambda f: f.get("n") == 7)
@@ -504,10 +509,7 @@ def test_a_message_that_is_no_request_ends_its_page_with_the_reason(
 def test_a_value_that_is_not_allowed_is_answered_and_ends_no_control(
     lab: ServedStation, message: dict[str, Any], kind: str
 ) -> None:
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     page.say(n=7, **message)
     answer = page.until(lambda f: f["k"] == kind)
     assert answer["n"] == 7 and not answer["ok"] and answer["problems"] == [answer["reason"]] and answer["reason"]
@@ -655,10 +657,7 @@ def test_a_path_that_is_read_from_a_slow_disk_delays_no_order_and_overtakes_none
 
     monkeypatch.setattr(client_hub, "flight_text", read)
     monkeypatch.setattr(client_hub, "ORDER_VALID_S", PATIENCE_S)
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     page.order(0, "load")
     page.say(kind="order", n=1, order="path", text="pool", seen_ms=page.clock_ms)
     try:
@@ -682,10 +681,7 @@ def test_a_path_that_is_read_too_slowly_is_not_flown(lab: ServedStation, monkeyp
 
     monkeypatch.setattr(client_hub, "flight_text", read)
     monkeypatch.setattr(client_hub, "ORDER_VALID_S", PATIENCE_S)
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     page.say(kind="order", n=1, order="path", text="pool", seen_ms=page.clock_ms)
     assert page.until(lambda f: f["k"] == "reply")["reason"].endswith("late, and was not done")
     assert lab.orders == []
@@ -694,10 +690,7 @@ def test_a_path_that_is_read_too_slowly_is_not_flown(lab: ServedStation, monkeyp
 def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> None:
     """A station that hung, or a link that did: what the operator saw when he gave it is past. What only takes power away is
     never too late."""
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     for n, kind in enumerate(("order", "tune")):
         late = {"order": "start"} if kind == "order" else {"values": None}
         page.say(kind=kind, n=n, seen_ms=page.clock_ms - 10_000, **late)
@@ -716,10 +709,7 @@ def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> No
 def test_an_order_that_came_while_the_station_s_machine_slept_is_not_done(
     lab: ServedStation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     seen_ms, since_boot = page.clock_ms, time.clock_gettime_ns
     monkeypatch.setattr(
         time, "clock_gettime_ns", lambda clock: since_boot(clock) + (60 * 10**9 if clock == time.CLOCK_BOOTTIME else 0)
@@ -733,10 +723,7 @@ def test_an_order_that_came_while_the_station_s_machine_slept_is_not_done(
 def test_an_order_that_waited_long_for_others_is_not_done(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     """One before them waits, as for a disk."""
     release = lab.blocked = threading.Event()
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     for limit in ("ORDER_VALID_S", "DRIVE_VALID_S"):
         monkeypatch.setattr(client_hub, limit, PATIENCE_S)
     page.order(0, "load")
@@ -758,10 +745,7 @@ def test_an_order_that_waited_long_for_the_station_s_cycle_is_not_done(
     lab: ServedStation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     release = lab.blocked = threading.Event()
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     monkeypatch.setattr(client_hub, "ORDER_VALID_S", 0.5)
     page.order(1, "start")
     page.say(kind="tune", n=2, values=None, next_lap=False, seen_ms=page.clock_ms)
@@ -777,10 +761,7 @@ def test_a_velocity_that_waited_long_for_the_station_s_cycle_moves_no_robot(
     lab: ServedStation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     release = lab.blocked = threading.Event()
-    page = lab.open()
-    page.hello()
-    page.say(kind="take")
-    page.until(lambda f: state(f) and f["holder"] != 0)
+    page = lab.open_in_control()
     monkeypatch.setattr(client_hub, "DRIVE_VALID_S", 0.5)
     page.say(kind="drive", robot=1, surge_mps=0.1, heave_mps=0.0, yaw_rate_radps=0.0, seen_ms=page.clock_ms)
     time.sleep(1.0)

@@ -202,13 +202,8 @@ class _HeldWire(_Wire):
         return [decode(Reply, answer, "", "") for answer in answers if answer is not None]
 
 
-ON_THE_MOVE = ("START", "RESUME", "RETURN", "FORMATION", "TEST", "GO", "PATH", "ARM", "TUNE", "END", "HOLD")
-
-
-@pytest.mark.parametrize("order", ON_THE_MOVE)
-@pytest.mark.parametrize("is_met", [True, False])
-def test_a_request_that_was_held_up_until_its_sender_gave_up_is_not_done(order: str, is_met: bool) -> None:
-    """A station that stood still and goes on must not do what nobody waits for: that may start robots."""
+def _held_station() -> tuple[Bus, _HeldWire, list[CommandKind]]:
+    """A station whose requests expire, the network to it, and the orders that it has carried out."""
     hub, done = MemoryHub(), list[CommandKind]()
     station, _ = _bus(hub)
 
@@ -217,7 +212,17 @@ def test_a_request_that_was_held_up_until_its_sender_gave_up_is_not_done(order: 
         return Reply(0, True)
 
     station.serve(0, handle, expires=True)
-    wire = _HeldWire(hub, station)
+    return station, _HeldWire(hub, station), done
+
+
+ON_THE_MOVE = ("START", "RESUME", "RETURN", "FORMATION", "TEST", "GO", "PATH", "ARM", "TUNE", "END", "HOLD")
+
+
+@pytest.mark.parametrize("order", ON_THE_MOVE)
+@pytest.mark.parametrize("is_met", [True, False])
+def test_a_request_that_was_held_up_until_its_sender_gave_up_is_not_done(order: str, is_met: bool) -> None:
+    """A station that stood still and goes on must not do what nobody waits for: that may start robots."""
+    _, wire, done = _held_station()
     terminal, wanted = Bus(wire), CommandKind[order]
 
     def ask(kind: CommandKind, timeout_s: float) -> Reply:
@@ -243,15 +248,7 @@ def test_a_request_that_was_held_up_until_its_sender_gave_up_is_not_done(order: 
 @pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="the system has no clock that counts a machine's sleep")
 def test_a_request_that_waited_while_the_stations_machine_slept_is_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its monotonic clock stood meanwhile: by that the request has just been sent."""
-    hub, done = MemoryHub(), list[CommandKind]()
-    station, _ = _bus(hub)
-
-    def handle(header: Header, command: Command) -> Reply:
-        done.append(command.order)
-        return Reply(0, True)
-
-    station.serve(0, handle, expires=True)
-    wire = _HeldWire(hub, station)
+    _, wire, done = _held_station()
     terminal = Bus(wire)
     assert terminal.command(Command(CommandKind.LOAD, 0), time.monotonic_ns(), 60.0, to=0).accepted
     wire.holds, sleeps_ns, awake_ns = True, time.monotonic_ns(), time.monotonic_ns
@@ -265,15 +262,7 @@ def test_a_request_that_waited_while_the_stations_machine_slept_is_not_done(monk
 
 def test_a_request_of_a_terminal_whose_first_word_came_late_lives_no_longer_than_it_waits() -> None:
     """The recipient measures from the first word; the sender knows how long that took."""
-    hub, done = MemoryHub(), list[CommandKind]()
-    station, _ = _bus(hub)
-
-    def handle(header: Header, command: Command) -> Reply:
-        done.append(command.order)
-        return Reply(0, True)
-
-    station.serve(0, handle, expires=True)
-    wire = _HeldWire(hub, station)
+    station, wire, done = _held_station()
     begun = time.monotonic_ns()
 
     def late_first_word(key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
@@ -290,10 +279,7 @@ def test_a_request_of_a_terminal_whose_first_word_came_late_lives_no_longer_than
 
 def test_a_script_whose_first_word_came_late_is_heard_all_the_same_afterwards() -> None:
     """Only that word was late. Had it been taken for the usual way, each later request would count as held up."""
-    hub = MemoryHub()
-    station, _ = _bus(hub)
-    station.serve(0, lambda header, command: Reply(0, True), expires=True)
-    wire = _HeldWire(hub, station)
+    _, wire, _ = _held_station()
 
     def late_first_word(key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
         time.sleep(2.0)
