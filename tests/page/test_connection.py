@@ -104,7 +104,7 @@ def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) ->
 
 @pytest.mark.parametrize("of", [".tile[data-robot='1'] .age", ".picture-age"])
 def test_a_delay_of_the_line_counts_as_age(browser: Browser, of: str) -> None:
-    """Robot and camera speak all the time; from the second second on, every message takes 0.7 s to the page."""
+    """Robot and camera speak all the time; the way of every message to the page becomes longer, up to 2 s."""
     jpeg = cv2.imencode(".jpg", np.zeros((48, 64, 3), dtype=np.uint8))[1].tobytes()
     with lone_station(browser, load_experiment("pool")) as desk:
         page, slow_s = desk.page, [0.0]
@@ -122,7 +122,7 @@ def test_a_delay_of_the_line_counts_as_age(browser: Browser, of: str) -> None:
             while time.monotonic() < end_s:
                 desk.robots.publish(topics.STATE, RobotState(), time.time_ns(), 1)
                 desk.robots.publish(topics.PREVIEW, Preview(jpeg), time.time_ns())
-                page.wait_for_timeout(20)
+                page.wait_for_timeout(100)
                 while on_the_way and on_the_way[0][0] <= time.monotonic():
                     lines[-1].send(on_the_way.pop(0)[1])
                 texts = page.locator(of).all_text_contents()  # none before the page is ready
@@ -136,9 +136,9 @@ def test_a_delay_of_the_line_counts_as_age(browser: Browser, of: str) -> None:
         while not pass_on(1.0):
             pass
         assert min(pass_on(2.0)) < 0.2
-        slow_s[0] = 0.7
-        pass_on(2.0)
-        assert 0.65 < min(pass_on(3.0)) < 1.0
+        for slow_s[0] in (0.5, 1.0, 1.5, 2.0):  # in steps: a line that says nothing for a second is lost
+            pass_on(1.5)
+        assert 1.95 < min(pass_on(3.0)) < 3.5  # a slow machine adds to it; counted twice it would be 4 s
 
 
 def test_events_of_megabytes_leave_the_page_and_its_stop_alive(browser: Browser) -> None:
