@@ -257,6 +257,17 @@ def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -
     return ""
 
 
+def silent_sightings(experiment: Experiment, fleet: Fleet) -> dict[int, tuple[float, float]]:
+    """Places x, y of the robots whose plans do not come, and which the camera sees."""
+    pose_limit_s, plan_limit_s = (topic.max_age_in(experiment.safety) for topic in (topics.POSE, topics.PLAN))
+    return {
+        robot: (view.pose.x_m, view.pose.y_m)
+        for robot, view in fleet.items()
+        if view.plan_age_s > plan_limit_s and view.pose_age_s <= pose_limit_s and not view.two_pose_senders
+        and view.pose is not None and view.pose.track >= Track.KCF
+    }  # fmt: skip
+
+
 def blind_robots(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
     """Those of these robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are
     none, or if they may fly all the same (mission.blind)."""

@@ -19,11 +19,11 @@ from robot_agent.control.controller import ControlOutput, Setting
 from robot_agent.control.live_tuning import LiveTuning, Prepared
 from robot_agent.guidance import driving
 from robot_agent.guidance.driving import Driver
-from robot_agent.guidance.formation import Neighbour
+from robot_agent.guidance.formation import Neighbour, rest_of_plan
 from robot_agent.guidance.obstacles import Obstacle, OwnHullFilter, grown_with_age, island_obstacles, obstacles_from_message
 from robot_agent.guidance.reference import Goal, Hold
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
-from robot_agent.inputs import Inputs, StampedPose, StationView
+from robot_agent.inputs import Inputs, StampedPlan, StampedPose, StationView
 from robot_agent.safety.health import HealthMonitor
 from robot_agent.safety.modes import DRIVE_LASTS_S, ORDERS, POWERED, Health, react, refusal
 from robot_agent.safety.thruster_selftest import ThrusterSelftest
@@ -99,6 +99,7 @@ class Agent:
         self._health = HealthMonitor(experiment, self.controller.plan_period_s if self.controller.foresees else 0.0)
         self._own_hull = OwnHullFilter(experiment.vehicle.radius_m)
         self._hold: Hold | None = None
+        self._sightings: dict[int, StampedPlan] = {}  # of silent robots: the rest of their plans, from where they were seen
         self._last: ControlOutput | None = None
         self.inputs = Inputs()  # of the last step, a pose outside the pool left out
 
@@ -313,16 +314,22 @@ class Agent:
         return None
 
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:
-        """Return the last plans of the other robots in the water, with their freshness and their part in the formation."""
-        limit_ns, formation = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with
-        return tuple(
-            Neighbour(
-                robot, stamped.instant_ns, stamped.plan, now_ns - stamped.instant_ns <= limit_ns, robot in formation,
-                self._me.id in stamped.plan.heard,
-            )
-            for robot, stamped in sorted(inputs.plans.items())
-            if robot not in inputs.station.out
-        )  # fmt: skip
+        """Return the last plans of the other robots in the water, with their freshness and their part in the formation. The
+        plan of a robot that is silent and was seen since begins where it was seen."""
+        limit_ns, formation, neighbours = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with, []
+        for robot, message in sorted(inputs.plans.items()):
+            if robot in inputs.station.out:
+                continue
+            fresh = now_ns - message.instant_ns <= limit_ns
+            if not fresh and (place := inputs.station.sightings.get(robot)) is not None:
+                seen_ns = now_ns - round(inputs.station.age_s * 1e9)
+                age_s = (seen_ns - message.instant_ns) * 1e-9
+                self._sightings[robot] = StampedPlan(rest_of_plan(message.plan, age_s, place), seen_ns)
+            sighting = self._sightings.get(robot, message)
+            plan = message if fresh or sighting.instant_ns < message.instant_ns else sighting
+            hears_us = self._me.id in plan.plan.heard
+            neighbours.append(Neighbour(robot, plan.instant_ns, plan.plan, fresh, robot in formation, hears_us))
+        return tuple(neighbours)
 
     def obstacles(self, inputs: Inputs, now_ns: int) -> Sequence[Obstacle]:
         """Return the obstacles without the robot's own hull. Those not seen lately grow with their age."""

@@ -43,7 +43,8 @@ class StampedObstacles:
 @dataclass(frozen=True)
 class StationView:
     """The station as last heard: its session, its clock now, the age of its heartbeat, and from that heartbeat the formation's
-    lag and slowing, and the robots that are out of the water (shoal.messages.messages.StationHeartbeat)."""
+    lag and slowing, the robots that are out of the water, and the places x + iy of silent ones that the camera sees
+    (shoal.messages.messages.StationHeartbeat)."""
 
     session: int = 0
     clock_ns: int = 0
@@ -51,6 +52,7 @@ class StationView:
     lag_s: float = 0.0
     slowing: float = 0.0
     out: tuple[int, ...] = ()
+    sightings: Mapping[int, complex] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

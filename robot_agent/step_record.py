@@ -85,7 +85,10 @@ def station_view(record: StepInputs | CommandTaken, now_ns: int) -> StationView:
     age_ns = now_ns - record.station_instant_ns
     view = StationView(record.station_session, record.station_stamp_ns + age_ns, age_ns * 1e-9)
     beat = record.heartbeat
-    return view if beat is None else replace(view, lag_s=beat.lag_s, slowing=beat.slowing, out=beat.out)
+    if beat is None:
+        return view
+    sightings = {robot: complex(*place_m) for robot, place_m in zip(beat.sightings, beat.sightings_m.tolist(), strict=False)}
+    return replace(view, lag_s=beat.lag_s, slowing=beat.slowing, out=beat.out, sightings=sightings)
 
 
 def with_reply(record: CommandTaken, reply: Reply) -> CommandTaken:

@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
@@ -25,7 +27,7 @@ from groundstation.mission.state_machine import READY, MissionState, in_words, r
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
+from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code, silent_sightings
 from groundstation.web.backend import Status
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import HELD_UP, Bus
@@ -170,10 +172,13 @@ class Station:
         planned = tuple(robot for robot, state in states.items() if state is not None and state.estimate is not None)
         state = self.mission.state.name
         out, segment = tuple(sorted(self.mission.roster.out)), self.mission.segment
+        sightings = silent_sightings(self.experiment, self.views)
         beat = StationHeartbeat(
             self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns,
             flight_s=0.0 if segment.is_return else segment.end_s,
             other_path=self.mission.plans.flown is not self.experiment,
+            sightings=tuple(sightings),
+            sightings_m=np.array(list(sightings.values())).reshape(-1, 2),
         )  # fmt: skip
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()

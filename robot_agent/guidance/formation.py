@@ -6,7 +6,7 @@ upper one would break the surface (a controller that was free to use depth did b
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -103,11 +103,22 @@ def write_meant_way(plan: PlanRows, age_s: float, way: Complexes) -> None:
             way[i] = place - here if now < last else 0j
 
 
+def rest_of_plan(plan: Plan, age_s: float, place: complex) -> Plan:
+    """The rest of a plan of that age, moved to where its robot is seen: a robot that has fallen silent may still fly it, and
+    in the end it rests where it is, not where it meant to."""
+    if not are_poses(PlanRows(np.array(plan.eta), np.array(plan.eta_reference), plan.period_s)) or not abs(place) < ABSURD:
+        return plan
+    first = min(max(round(age_s / plan.period_s), 0), len(plan.eta) - 1)
+    moved = np.array([place.real, place.imag, 0.0, 0.0])
+    moved[:2] -= plan.eta[first, :2]
+    return replace(plan, eta=plan.eta[first:] + moved, eta_reference=plan.eta_reference[first:] + moved)
+
+
 class Neighbour(NamedTuple):
     """Another robot's last plan. Fresh plans count for the formation; stale ones only keep a growing distance."""
 
     robot: int
-    stamp_ns: int  # instant of the plan's node 0, on our clock
+    stamp_ns: int  # instant of the plan's node 0 on our clock, or of the sight of a silent robot
     plan: Plan
     fresh: bool
     formation: bool = True  # False: only stay clear of it
@@ -257,9 +268,9 @@ class Formation:
         return predictions.deviation * (self._weight / np.maximum(weight, LEAST_WEIGHT)), weight
 
     def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
-        """Distance to keep from a neighbour: 2R, and more from one that is silent. What is more grows with the silence, up to
-        a limit, and is gone again SILENT_S after the last word: by then the robot has stopped, and only the station can say
-        that it is out of the water."""
+        """Distance to keep from a neighbour: 2R, and more from one that is silent. What is more grows while it is not seen,
+        up to a limit, and is gone again SILENT_S after the last word or sight: by then the robot has stopped, and only the
+        station can say that it is out of the water."""
         keep, safety = 2.0 * self._safety.radius_m, self._safety
         if neighbour.fresh:
             return keep

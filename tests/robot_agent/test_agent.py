@@ -9,6 +9,7 @@ import pytest
 
 from groundstation.planning.segment import first_segment
 from robot_agent.agent import Agent
+from robot_agent.control.controller import ControlOutput
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
 from robot_agent.inputs import Inputs
 from robot_agent.preflight.rehearsal import ARM_AFTER, STATION, rehearse
@@ -92,7 +93,7 @@ def test_an_invalid_step_keeps_the_goal_of_the_step_before_and_the_shape_of_its_
 
 
 def test_a_depth_offset_is_taken_off_everywhere() -> None:
-    """A sensor that says 2 cm too much, and is known to, is one that is right."""
+    """A sensor that says 2 cm too much, and is beliefs to, is one that is right."""
     true_m = next(rehearse(POOL, 1))[1].board.depth_m
     corrected = load_experiment("pool", ["robots.0.depth_offset_m=0.02"])
     states = []
@@ -102,3 +103,38 @@ def test_a_depth_offset_is_taken_off_everywhere() -> None:
     assert required(states[-1].board).depth_m == pytest.approx(true_m) and required(states[-1].estimate).eta[
         2
     ] == pytest.approx(true_m)
+
+
+def test_a_robot_that_has_fallen_silent_is_where_the_camera_sees_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not at the end of its last plan. It may fly that plan on for a while, from there."""
+    steps = rehearse(POOL, 1)
+    for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 20):
+        agent.step(inputs, now_ns)
+    last_plan, real = inputs.plans[2], agent.controller.step
+    beliefs: list[tuple[complex, complex, float]] = []  # of the other: place, velocity, distance to keep
+
+    def step(measurement: Any, goal: Any, neighbours: Any, at_ns: int, obstacles: Any) -> ControlOutput:
+        of = agent.controller.formation
+        others = of.predict_neighbours(neighbours, at_ns)
+        beliefs.append(
+            (complex(others.place_now[0]), complex(others.intended_velocity[0]), of.clearances_m(others, at_ns).item())
+        )
+        return real(measurement, goal, neighbours, at_ns, obstacles)
+
+    monkeypatch.setattr(agent.controller, "step", step)
+    end, place = complex(*last_plan.plan.eta[-1, :2]), -1.5 - 0.5j
+    touching_m, period_s = 2.0 * POOL.safety.radius_m, POOL.controller.period_s
+    for k, (_, fresh, at_ns) in enumerate(itertools.islice(steps, 401)):
+        places = {2: place} if k < 300 else {}
+        plans = {2: last_plan} if k < 400 else fresh.plans
+        agent.step(replace(fresh, plans=plans, station=replace(fresh.station, sightings=places)), at_ns)
+    assert agent.mode is Mode.TRACKING
+    assert len(last_plan.plan.eta) * last_plan.plan.period_s < 290 * period_s
+    assert beliefs[0][0] != place and beliefs[0][2] == touching_m  # a plan that is fresh counts
+    assert abs(beliefs[40][0] - place) < 1e-9 and abs(beliefs[40][1]) > 0.05 and beliefs[40][2] == pytest.approx(touching_m)
+    assert abs(beliefs[299][0] - place) < 1e-9 and beliefs[299][1] == 0.0  # its plan has ended
+    away, gone_s = [abs(beliefs[399][0] - it) for it in (place, end)], 100 * period_s
+    assert away[0] < 1e-9 < away[1]  # it is no longer seen
+    growth_m = min(POOL.safety.bubble_mps * gone_s, POOL.safety.bubble_max_m)
+    assert beliefs[399][2] == pytest.approx(touching_m + growth_m)
+    assert abs(beliefs[400][0] - complex(*fresh.plans[2].plan.eta[0, :2])) < 0.1 and beliefs[400][2] == touching_m

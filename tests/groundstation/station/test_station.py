@@ -50,6 +50,7 @@ from shoal.messages.messages import (
     LocalizerStatus,
     Mode,
     Outcome,
+    Plan,
     Pose,
     Progress,
     Reply,
@@ -59,6 +60,7 @@ from shoal.messages.messages import (
     Track,
     Trajectory,
     Tuning,
+    required,
 )
 from shoal.runtime.runtime import Stop, WallClock, run_steps, wait
 from shoal.runtime.version import code
@@ -600,6 +602,28 @@ def test_the_heartbeat_says_that_another_path_than_the_experiments_is_flown(tmp_
             reports.append(beat is not None and beat.message.other_path)
             plans.adopt_at_rest(other.plan(), other)
         assert reports == [False, True]
+
+
+def test_the_heartbeat_says_where_the_camera_sees_a_silent_robot(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        others, clock = Bus(MemoryTransport(hub)), station.clock
+        beats, row = others.inbox(topics.HEARTBEAT, StationHeartbeat), np.zeros((1, 4))
+
+        def sightings() -> dict[int, list[float]]:
+            station.cycle(clock.now_ns())
+            beat = required(beats.newest()).message
+            return dict(zip(beat.sightings, beat.sightings_m.tolist(), strict=True))
+
+        def long_ago_ns() -> int:
+            return clock.now_ns() - 10**10
+
+        for robot, track in ((1, Track.MARKER), (2, Track.COAST)):  # the second is only predicted
+            others.publish(topics.PLAN, Plan(0.2, row, row), long_ago_ns(), robot, age_ns=10**10)
+            others.publish(topics.POSE, Pose(0.5 * robot, -0.25, 0.0, np.eye(3), track, True), clock.now_ns(), robot)
+        assert sightings() == {1: [0.5, -0.25]}
+        others.publish(topics.PLAN, Plan(0.2, row, row), clock.now_ns(), 1)
+        assert sightings() == {}
 
 
 def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_everybody(tmp_path: Path) -> None:
