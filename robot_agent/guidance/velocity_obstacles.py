@@ -41,7 +41,7 @@ PARTING = 0.999  # of the present distance: robots closer than allowed may take 
 WELL_CLEAR = 0.5  # of the distance to keep: a robot that passes so far on the other side stays on it
 ABAFT = -0.38  # cosine of 112.5 degrees from ahead: a robot from there overtakes, and has to keep clear
 HEAD_ON = -0.9  # cosine between courses that are so opposite that both give way; 0.9: so alike that one overtakes
-STANDS_ON = 0.5  # of the time to look ahead: for a robot that should have given way
+STANDS_ON = 0.5  # of the time to look ahead, and of the room: for a robot that should have given way
 CATCH_UP = 0.5  # of the reference's speed, on top of it, to return with, if `Agility.catch_up_mps` is less
 UNHURRIED_MPS = 0.06  # likewise while something is in the way: a robot that hurries then takes a long way round
 AT_END = 0.5  # of `Agility.fastest_mps`: likewise when the reference rests. At 6 cm/s two beside a third took a minute
@@ -100,11 +100,15 @@ NOBODY = Traffic(
 
 
 @kernel
-def set_horizons(place: complex, wanted: complex, look_ahead_s: float, traffic: Traffic, within_s: Floats) -> None:
-    """Write for how long ahead traffic (k,) counts for a robot that wants to go at a velocity; 0: not at all.
+def set_horizons(
+    place: complex, wanted: complex, agility: Agility, traffic: Traffic, within_s: Floats, keep_m: Floats
+) -> None:
+    """Write for how long ahead traffic (k,) counts for a robot that wants to go at a velocity, 0: not at all; and at what
+    distance.
 
     A robot that comes from behind on its own way forward overtakes, and keeps clear of us. One that crosses from port gives
-    way too, and counts only when it should have done so by now. What is to be passed at no distance is not in the way.
+    way too. It counts only when it should have done so by now, and not if it passes as near as it means to, give or take half
+    of the room. What is to be passed at no distance is not in the way.
     """
     for i in range(len(within_s)):
         away, going = traffic.place[i] - place, traffic.velocity[i]
@@ -112,11 +116,12 @@ def set_horizons(place: complex, wanted: complex, look_ahead_s: float, traffic: 
         overtaken = -dot(away, going) < ABAFT * abs(away) * abs(going)
         head_on = dot(wanted, going) < HEAD_ON * abs(wanted) * abs(going)
         from_port = cross(wanted, going) > 0.0 and not head_on and not overtaken
-        within_s[i] = look_ahead_s if traffic.keep_m[i] > 0.0 else 0.0
+        within_s[i], keep_m[i] = agility.look_ahead_s if traffic.keep_m[i] > 0.0 else 0.0, traffic.keep_m[i]
         if traffic.yields[i] and astern and dot(going, wanted) > 0.0:
             within_s[i] = 0.0
         elif traffic.yields[i] and from_port:
             within_s[i] *= STANDS_ON
+            keep_m[i] -= (1.0 - STANDS_ON) * agility.room_m
 
 
 @kernel(part=True)
@@ -426,20 +431,21 @@ class GiveWay:
         velocity = complex(x_m, y_m) / self._second_s
         if abs(velocity) < SLIGHTEST_MPS:
             return False
-        return bool(closes_in(place, velocity, traffic, self._horizons(place, velocity, traffic)))
+        return bool(closes_in(place, velocity, *self._counting(place, velocity, traffic)))
 
-    def _horizons(self, place: complex, wanted: complex, traffic: Traffic) -> Array:
-        """Time ahead for which each of the traffic counts (k,), s."""
-        within_s = np.empty(len(traffic.place))
-        set_horizons(place, wanted, self.agility.look_ahead_s, traffic, within_s)
-        return within_s
+    def _counting(self, place: complex, wanted: complex, traffic: Traffic) -> tuple[Traffic, Array]:
+        """The traffic at the distances that count, and the time ahead for which each counts (k,), s. A robot that has left its
+        path keeps the whole room: in less of it, the other one would give way too."""
+        within_s, keep_m = np.empty((2, len(traffic.place)))
+        set_horizons(place, wanted, self.agility, traffic, within_s, keep_m)
+        return traffic._replace(keep_m=keep_m) if self._point is None else traffic, within_s
 
     def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
         """Velocity that avoids the traffic in the way; None if none is."""
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
         assert self._point is not None
-        within_s = self._horizons(place, wanted, traffic)
+        traffic, within_s = self._counting(place, wanted, traffic)
         ahead, meets = np.empty(self._look_steps, np.complex128), np.empty(len(within_s), bool)
         look_ahead(reference.eta, reference.velocity, self._times_s, self._point, self.agility, ahead)
         if not find_meetings(place, ahead, traffic, within_s, meets):

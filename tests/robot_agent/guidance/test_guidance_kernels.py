@@ -125,8 +125,9 @@ def test_closing_in_is_that_of_straight_lines(seed: int) -> None:
 def test_of_two_that_cross_one_gives_way_and_the_other_counts_on_it(seed: int) -> None:
     """By angles: a robot on whose starboard bow the other crosses gives way, head on both do, and whoever overtakes."""
     _, place, velocity, traffic, _ = scene(seed)
-    within_s = np.empty(7)
-    set_horizons(place, velocity, LOOK_AHEAD_S, traffic, within_s)
+    within_s, keep_m = np.empty((2, 7))
+    agility = AGILITY._replace(look_ahead_s=LOOK_AHEAD_S)
+    set_horizons(place, velocity, agility, traffic, within_s, keep_m)
     away = traffic.place - place
     bearing, course = np.angle(away / velocity), np.angle(traffic.velocity / velocity)
     seen_at = np.angle(-away / traffic.velocity)  # by the other
@@ -137,6 +138,8 @@ def test_of_two_that_cross_one_gives_way_and_the_other_counts_on_it(seed: int) -
     expected = np.where(overtakes_us, 0.0, np.where(from_port, STANDS_ON, 1.0))
     expected = LOOK_AHEAD_S * np.where(traffic.yields, expected, 1.0) * (traffic.keep_m > 0.0)
     assert within_s == pytest.approx(expected)
+    stands_on = traffic.yields & from_port & ~overtakes_us
+    assert keep_m == pytest.approx(traffic.keep_m - STANDS_ON * agility.room_m * stands_on)
 
 
 def homing(goal: complex, speed: complex, point: complex) -> complex:
