@@ -400,13 +400,16 @@ def _measurement(inputs: Inputs) -> StateMeasurement:
     """Convert inputs to the observer's measurement; what is not known is None."""
     board = inputs.board
     has_board = board.board_ms >= 0
+    roll, pitch, roll_rate, pitch_rate = board.tilt.tolist() if has_board and board.tilt.size else (0.0, 0.0, 0.0, 0.0)
     return StateMeasurement(
         pose=_pose_measurement(inputs.pose),
         depth_m=board.depth_m if has_board else None,
         yaw_rate_radps=board.yaw_rate_radps if has_board else None,
         board_ns=board.arrival_ns if has_board else None,
-        pitch_rad=board.tilt.item(1) if has_board and board.tilt.size else 0.0,
-        roll_rad=board.tilt.item(0) if has_board and board.tilt.size else 0.0,
+        pitch_rad=pitch,
+        roll_rad=roll,
+        pitch_rate_radps=pitch_rate,
+        roll_rate_radps=roll_rate,
     )
 
 

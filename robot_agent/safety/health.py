@@ -1,5 +1,7 @@
 """Health of a robot: ages of its inputs and results of its checks, from which the mode is decided. Pure."""
 
+import math
+
 from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
@@ -14,7 +16,7 @@ from robot_agent.vehicle.fixed_thrusters import make_allocator
 from shoal.config.experiment import Experiment
 from shoal.frames import wrap
 from shoal.mavlink.agent_link import autopilot_name
-from shoal.messages.messages import Guidance, Mode
+from shoal.messages.messages import BoardReading, Guidance, Mode
 
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
@@ -79,7 +81,7 @@ class HealthMonitor:
             self._estimate_ended = False
         elif board.board_ms >= 0:
             self._thrusters.note_voltage(board.battery_v, board.arrival_ns)
-            self._thrusters.step(board.yaw_rate_radps, board.arrival_ns, board.board_ms * 1_000_000)
+            self._thrusters.step(_own_yaw_rate_radps(board), board.arrival_ns, board.board_ms * 1_000_000)
 
     def _fits(self, yaw_rad: float) -> bool:
         """True unless a pose's heading is far from the estimate's: a marker that is read the wrong way round."""
@@ -240,6 +242,14 @@ class HealthMonitor:
             return None
         limit_s = self._safety.pose_hold_s if mode in UNDER_WAY else self._safety.pose_neutral_s
         return self._sighted_ns + round(limit_s * 1e9) + 1
+
+
+def _own_yaw_rate_radps(board: BoardReading) -> float:
+    """Rate about the hull's own axis, about which thrusters turn it: a tilted hull that swings turns its heading by that."""
+    if not board.tilt.size:
+        return board.yaw_rate_radps
+    roll, pitch, _, pitch_rate = board.tilt.tolist()
+    return float(math.cos(roll) * math.cos(pitch) * board.yaw_rate_radps - math.sin(roll) * pitch_rate)
 
 
 def _age_s(instant_ns: int | None, now_ns: int) -> float:

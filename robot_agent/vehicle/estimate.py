@@ -30,6 +30,8 @@ class StateMeasurement(NamedTuple):
     board_ns: int | None = None  # instant of depth and yaw rate; None: now
     pitch_rad: float = 0.0  # bow up is positive; 0 where it is not measured
     roll_rad: float = 0.0  # starboard down is positive; likewise
+    pitch_rate_radps: float = 0.0  # d/dt of them
+    roll_rate_radps: float = 0.0
 
 
 class Ratios(NamedTuple):

@@ -178,7 +178,7 @@ def draw(name: str, number: int, overrides: Sequence[str] = ()) -> FlightPlan:
         f"sim.numeric.yaw_noise_rad={noise * YAW_NOISE_RAD:.5g}",
     ]
     plain = load_experiment("straight", settings)
-    fastest = fastest_mps(plain.vehicle, plain.sim.plant.drag_error)
+    fastest = fastest_mps(plain.vehicle, plain.sim.plant.mass_error, plain.sim.plant.drag_error)
     strength, direction = random.uniform(*cell.current), random.uniform(-math.pi, math.pi)
     speed = min(random.uniform(*cell.speed), MOST_OF_SPEED - strength) * fastest
     current = strength * fastest * math.cos(direction), strength * fastest * math.sin(direction), 0.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from robot_agent.control.nonlinear import tuning
 from shoal.config.plant import PlantConfig
-from shoal.config.vehicle import Vehicle, load_vehicle
+from shoal.config.vehicle import Mass, Vehicle, load_vehicle
 from shoal.messages.messages import required
 
 SPHERICAL = load_vehicle("spherical")
@@ -87,11 +87,20 @@ def steady_speed(linear: float, quadratic: float, force: float) -> float:
     return (math.sqrt(linear**2 + 4.0 * quadratic * force) - linear) / (2.0 * quadratic) if quadratic else force / linear
 
 
-def fastest_mps(vehicle: Vehicle, drag_error: float) -> float:
-    """The fastest that a vehicle can really swim upright when its file is wrong about its drag by a relative error."""
-    true = 1.0 + drag_error
-    steady_mps = steady_speed(true * vehicle.drag.linear[0], true * vehicle.drag.quadratic[0], vehicle.limits.wrench[0])
-    return min(tuning.fastest_mps(vehicle), steady_mps)
+def fastest_mps(vehicle: Vehicle, mass_error: float, drag_error: float) -> float:
+    """The fastest that a vehicle can really swim upright, and may by its file, which is wrong about its mass and drag by
+    relative errors. Mass counts: the water's moment on a hull that pitches grows with the added mass."""
+    mass, drag = vehicle.mass.model_copy(update=_scaled(vehicle.mass, 1.0 + mass_error)), 1.0 + drag_error
+    linear, quadratic = (tuple(drag * axis for axis in part) for part in (vehicle.drag.linear, vehicle.drag.quadratic))
+    water = vehicle.drag.model_copy(update={"linear": linear, "quadratic": quadratic})
+    true = vehicle.model_copy(update={"mass": mass, "drag": water})
+    steady_mps = steady_speed(linear[0], quadratic[0], vehicle.limits.wrench[0])
+    return min(tuning.fastest_mps(vehicle), tuning.fastest_mps(true), steady_mps)
+
+
+def _scaled(mass: Mass, share: float) -> dict[str, float]:
+    """All masses and inertias of a vehicle, scaled alike."""
+    return {axis: share * kg for axis, kg in mass.model_dump().items()}
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from robot_agent.control.nonlinear.obstacle_rows import (
 from robot_agent.control.nonlinear.planner import Planner, make_depth_start, make_start, resting_place
 from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundings, fly, make_flight, make_grid
 from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weights, make_memory, step_plan
+from robot_agent.control.nonlinear.upright_thrust import UprightThrust
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle, is_inside
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, interpolate, is_other_goal
@@ -78,7 +79,7 @@ class NonlinearController(Controller):
         self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, self._fastest_mps)
         self._depth, self._drift_flight = make_memory(1), make_flight(len(self._axes))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
-        self._limits, self._depth_limits = tunings.planar_limits(vehicle), tunings.depth_limits(vehicle)
+        self._depth_limits = tunings.depth_limits(vehicle)
         hull_m = vehicle.radius_m + WALL_M
         self._room_m = np.array([math.inf, math.inf]) if setting.room_m is None else 0.5 * np.array(setting.room_m) - hull_m
         self._open_water = Surrounds(NO_BODIES, outlines_of((), 0, 0j), np.array([math.inf, math.inf]))
@@ -87,6 +88,7 @@ class NonlinearController(Controller):
         self._place: Array | None = None  # to rest at
         self._shifted = 0  # steps since the last solution
         self._off_m, self._noise_mps = 0.0, 0.0
+        self._upright = UprightThrust(vehicle)
         self._lift_n = 0.0  # thrust's part upwards of a hull that it pitches: 1 N at full thrust
 
     @property
@@ -116,6 +118,7 @@ class NonlinearController(Controller):
     ) -> ControlOutput:
         if self._model.sway:  # the article's model knows no tilt
             self._lift_n = self._lift(measurement, estimate)
+            self._upright.step(measurement, self._period_s)
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._wrench, self._axes)
         self._take_up(goal, estimate)
         self._retune(estimate)
@@ -195,7 +198,7 @@ class NonlinearController(Controller):
     def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
         """The pose (4,) where the robot can come to rest."""
         assert self._tuning is not None
-        problem = PlanProblem(start, self._course, self._weights(tunings.Manner(0.0, 0.0)), self._limits, surrounds)
+        problem = PlanProblem(start, self._course, self._weights(tunings.Manner(0.0, 0.0)), self._upright.limits, surrounds)
         place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._fastest_mps, self._drift_flight)
         return np.array([place.real, place.imag, *goal.eta[2:]])
 
@@ -220,7 +223,7 @@ class NonlinearController(Controller):
         facing_s = 0.0 if is_resting or keeps_heading else tunings.FACING_S
         asks_no_line = is_steered and not has_sway
         weights = self._weights(tunings.Manner(turning_m, facing_s, asks_no_line))
-        problem = PlanProblem(start, self._course, weights, self._limits, surrounds)
+        problem = PlanProblem(start, self._course, weights, self._upright.limits, surrounds)
         is_calm = is_resting and self._off_m < self._calm_m
         return self._planner.step(dynamics, problem, self._tuning, math.inf if is_calm else TOLERANCE_M)
 
@@ -282,7 +285,7 @@ class NonlinearController(Controller):
 
     def _first_wrench(self, has_plan: bool, has_depth_plan: bool) -> Array:
         """The wrench for the coming period: as far on the way to the first node's as the period goes. An axis without a
-        plan keeps its wrench."""
+        plan keeps its wrench. A hull that leans too far gets less of the thrust that tilts it on."""
         share, limits = min(self._period_s / float(self._grid.time_s[1]), 1.0), self._vehicle.limits
         wanted = self._wrench.copy()
         if has_plan:
@@ -290,8 +293,10 @@ class NonlinearController(Controller):
                 wanted[tunings.WRENCH_AXIS[axis]] = force
         if has_depth_plan:
             wanted[1] = self._depth.flight.command[0, 0] + self._lift_n
+        wanted = self._wrench + share * (wanted - self._wrench)
+        wanted = np.clip(wanted, self._upright.least, self._upright.most)
         most = np.array(limits.wrench_step(self._period_s))
-        change = np.clip(share * (wanted - self._wrench), -most, most)
+        change = np.clip(wanted - self._wrench, -most, most)
         return np.clip(self._wrench + change, -np.array(limits.wrench), limits.wrench)
 
     def _reported_plan(self, estimate: Observation, lead: Reference) -> tuple[Array, Array]:

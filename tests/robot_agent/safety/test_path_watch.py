@@ -45,6 +45,7 @@ def test_trap_stops_the_robot_and_names_the_cause(
 FREE = [
     ("start-current-0.8", 1, 8.0), ("start-model+100", 0, 8.0), ("model-50", 0, 6.0), ("model-50", 1, 6.0),
     ("start-model-50", 4, 7.0), ("start-model-50", 16, 9.0), ("mixed", 3, 7.0),
+    ("mixed", 4, 4.0), ("mixed", 22, 5.0),  # hulls that swim near the speed at which the water pitches them over
     pytest.param("current-0.8", 0, 30.0, marks=SLOW), pytest.param("waves", 1, 30.0, marks=SLOW),
     pytest.param("gusts", 0, 30.0, marks=SLOW), pytest.param("mixed", 0, 30.0, marks=SLOW),
 ]  # fmt: skip

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from robot_agent.safety.sensor_checks import APART_RAD, APART_S
 from shoal.messages.messages import BoardReading, Mode
 from tests.flights import cells, grid_flights
 from tests.flights.water import TroubledPlant
@@ -47,18 +48,23 @@ def flown(monkeypatch: pytest.MonkeyPatch, number: int) -> grid_flights.FlightLo
 
 
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW)])
-@pytest.mark.parametrize(("share", "within_s"), [(0.0, 3.0), (0.2, 3.5), (2.0, 8.0), (-1.0, 3.0)])
+@pytest.mark.parametrize("share", [0.0, 0.2, 2.0, -1.0])
 def test_gyroscope_that_measures_another_rate_stops_the_robot(
-    monkeypatch: pytest.MonkeyPatch, share: float, within_s: float, number: int
+    monkeypatch: pytest.MonkeyPatch, share: float, number: int
 ) -> None:
-    """Sooner the more it turns: on a straight path a robot turns by 0.35 rad in all only after some seconds."""
+    """Soon after it has missed a turn of 0.35 rad that lasts half a second. How long that takes is the path's: on a straight
+    one the heading swings out and back at first."""
     monkeypatch.setattr(WrongPlant, "share", share)
     log = flown(monkeypatch, number)
     fault = log.states[0][-1].fault
     assert log.states[0][-1].mode is Mode.FAULT
     assert fault.startswith("gyroscope in doubt") or (share < 0.0 and fault.startswith("thrusters do not do as told"))
     stopped = next(k for k, state in enumerate(log.states[0]) if state.mode is Mode.FAULT)
-    assert (stopped + 1) * log.period_s < within_s
+    heading = np.unwrap(log.truth[: stopped + 1, 0, 3])
+    missed_rad = np.abs((1.0 - share) * (heading - heading[0]))
+    assert missed_rad.max() < 2.0
+    last_near = int(np.flatnonzero(missed_rad < APART_RAD)[-1])
+    assert (stopped - last_near) * log.period_s < APART_S + 0.3  # poses are late, and a mean heading follows in the end
 
 
 @pytest.mark.parametrize("number", [1, pytest.param(0, marks=SLOW), pytest.param(2, marks=SLOW)])
