@@ -224,12 +224,12 @@ def shifted(
     with every reason for which it must not be flown."""
     period_s = segment.centre.period_s
     time_s, centre = _ahead(segment, begin_s)
-    motions = {slot: _moved(sample(t, time_s), shifts[slot], period_s) for slot, t in segment.trajectories.items()}
+    motions = {slot: _shifted_motion(sample(t, time_s), shifts[slot], period_s) for slot, t in segment.trajectories.items()}
     flown = min(round((segment.end_s - begin_s) / period_s) + 1, len(time_s))
     problems = [*robot_problems(experiment, motions, flown, begin_s), *pair_problems(experiment, motions, flown, begin_s)]
     if problems:
         raise PlanError("\n".join(problems))
-    middle = centre if of_centre is None else _moved(centre, of_centre, period_s)
+    middle = centre if of_centre is None else _shifted_motion(centre, of_centre, period_s)
     return replace(
         segment,
         trajectories={slot: planner.trajectory(motion, period_s, begin_s) for slot, motion in motions.items()},
@@ -237,7 +237,7 @@ def shifted(
     )
 
 
-def _moved(base: NodeMotion, shift: SlotOffset, period_s: float) -> NodeMotion:
+def _shifted_motion(base: NodeMotion, shift: SlotOffset, period_s: float) -> NodeMotion:
     """A motion and a shift that begins at rest."""
     place, velocity = base.eta[:, :3] + shift.place_m, base.velocity[:, :3] + shift.rate_mps
     acceleration = base.acceleration[:, :3] + shift.bend_mps2

@@ -128,14 +128,14 @@ def read_frame_table(
                 if len(cells) != len(names):
                     raise ConfigError(f"{where}: {len(cells)} values, but the first line has {len(names)} names")
                 line = dict(zip(names, cells, strict=True))
-                frame, robot = (_whole(f"{where}, column {name}", line[name]) for name in COLUMNS[:2])
-                value = {name: _number(f"{where}, column {name}", line.get(name, "")) for name in (*needed[2:], *allowed)}
+                frame, robot = (_cell_count(f"{where}, column {name}", line[name]) for name in COLUMNS[:2])
+                value = {name: _cell_number(f"{where}, column {name}", line.get(name, "")) for name in (*needed[2:], *allowed)}
                 yield frame, experiment.robot(robot).id, {name: v for name, v in value.items() if math.isfinite(v)}
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _number(where: str, cell: str) -> float:
+def _cell_number(where: str, cell: str) -> float:
     """The number of a cell; NaN for an empty one."""
     try:
         return float(cell) if cell.strip() else math.nan
@@ -143,9 +143,9 @@ def _number(where: str, cell: str) -> float:
         raise ConfigError(f"{where}: {cell!r} is no number (allowed: a number; empty or nan for what is not known)") from None
 
 
-def _whole(where: str, cell: str) -> int:
+def _cell_count(where: str, cell: str) -> int:
     """The whole number, from 0, of a cell."""
-    value = _number(where, cell)
+    value = _cell_number(where, cell)
     if not (value >= 0 and value.is_integer()):
         raise ConfigError(f"{where}: {cell!r} must be a whole number (allowed: 0, 1, 2, ...)")
     return int(value)

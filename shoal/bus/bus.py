@@ -145,7 +145,7 @@ class Inbox(Generic[M]):
         return self._last_read
 
     def _newest(self, up_to_ns: int | None) -> Received[M] | None:
-        """The newest message that can be decoded, of those stamped until then."""
+        """The newest message stamped at or before an instant that can be decoded."""
         for one in reversed(self._kept):
             if up_to_ns is not None and one.header.stamp_ns > up_to_ns:
                 continue
@@ -228,7 +228,7 @@ class Bus:
     def forward(
         self, topic: Topic, payload: bytes, stamp_ns: int, robot: int | None = None, age_ns: int = 0
     ) -> tuple[str, Header, bytes]:
-        """`publish` of what is encoded already."""
+        """Publish a message that is encoded already."""
         key = self._key(topic.key(robot))
         if self.muted:
             if topic.qos not in topics.RECOVERED:
@@ -410,7 +410,7 @@ class Bus:
                 self._recipients[key] = _Recipient(process, (took_s,))
 
         def reply() -> Reply:
-            """Wait for the answer. A process that has only said who it is gets the order again, by its name."""
+            """Wait for the answer. Where a process has answered with its identity alone, it gets the order again, by name."""
             first_reply, asked_again_s = read(first.answer, asked_s), time.monotonic()
             process, took_s = first_reply.session, asked_again_s - asked_s
             note(process, took_s)
@@ -440,7 +440,7 @@ class Bus:
             return _SentCommand(header.sequence, self.transport.ask(key, payload, header.encode(), timeout_s))
 
     def _read(self, command: Command, key: str, answer: bytes | None, silence: str) -> Reply:
-        """The reply in an answer; where there is none, one that tells of this `silence`."""
+        """The reply in an answer; without an answer, one that gives `silence` as the reason."""
         if answer is None:
             return Reply(command.robot, False, silence, silent=True)
         try:
