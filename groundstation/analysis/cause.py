@@ -195,7 +195,7 @@ def _injected(series: Series, until_s: float = math.inf) -> list[str]:
 
 
 def _outcome(result: Result, series: Series) -> str:
-    """What was flown, and how many requirements were not met, in words."""
+    """The time flown, and the number of requirements that were not met, in words."""
     unmet = sum(check.failed for check in result.checks)
     return f"{_flown(series)}, {unmet} of {len(result.checks)} requirements not met" if series.started else _flown(series)
 
