@@ -38,7 +38,8 @@ class _Server(ThreadingUnixStreamServer):
         super().__init__(os.fspath(path), _Handler)
 
     def get_request(self) -> tuple[Any, Any]:
-        """Accept a terminal. Where there is nothing to accept it with, it waits, and so does the loop that would spin."""
+        """Accept a terminal's connection. Without a free file descriptor the terminal stays in the queue, and the loop rests:
+        it would be called again at once, for ever."""
         try:
             return super().get_request()
         except OSError as error:

@@ -76,7 +76,8 @@ def _offer_station(places: ExitStack, path: Path, standing: RunningStation, bus:
 
 
 def running() -> list[RunningStation]:
-    """Every station of this user on this machine. Removes what stations that are gone have left."""
+    """Every station of this user on this machine. A running station keeps its file locked; files and sockets of stations that
+    have ended are removed."""
     stations: dict[str, RunningStation] = {}
     for path in sorted(file for folder in user_folders() for file in folder.glob("*.json")):
         with suppress(OSError, ValueError, TypeError, RecursionError, ConfigError), _opened(path) as file:
@@ -87,8 +88,8 @@ def running() -> list[RunningStation]:
                 other = stations.get(path.name) or _read_station_file(file.read(LARGEST_BYTES))
                 stations[path.name] = replace(other, doors=(*other.doors, *([door] if door.is_socket() else [])))
             else:
-                for left in (path, door):
-                    left.unlink(missing_ok=True)
+                for abandoned in (path, door):
+                    abandoned.unlink(missing_ok=True)
     return list(stations.values())
 
 

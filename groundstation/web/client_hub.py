@@ -153,14 +153,14 @@ class ClientHub:
     async def pump(self) -> None:
         """Offer what is new in the source to every page, for ever. A failure goes into the log, and the next look tries again:
         a page that receives nothing says so itself."""
-        told_s, took_s = 0.0, 0.0
+        offered_s, took_s = 0.0, 0.0  # when the state was offered last, and how long that took
         while True:
             try:
                 self._offer_news()
                 now_s = time.monotonic()
-                rested = now_s - told_s >= took_s / MOST_SHARE
-                if rested and ((self._watchers and self._source.changed()) or now_s - told_s >= AT_LEAST_S):
-                    told_s = now_s
+                may_offer = now_s - offered_s >= took_s / MOST_SHARE  # so that pages take no more than a share of the time
+                if may_offer and ((self._watchers and self._source.changed()) or now_s - offered_s >= AT_LEAST_S):
+                    offered_s = now_s
                     self.offer_state()
                     took_s = time.monotonic() - now_s
             except Exception as error:
