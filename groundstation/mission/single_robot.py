@@ -181,7 +181,7 @@ class SingleRobotControl:
             return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
         view = fleet[robot]
         if order in WATER:
-            return self._wrong_water(order, robot, view)
+            return self._out_refusal(order, robot, view)
         if robot in mission.roster.out:
             return f"robot {robot} is {TAKEN_OUT} (groundstation mission back-in --robot {robot})"
         if not view.heard:
@@ -198,7 +198,7 @@ class SingleRobotControl:
             return foreign
         return self._no_place(robot, fleet, place_m) if order is CommandKind.GO else ""
 
-    def _wrong_water(self, order: CommandKind, robot: int, view: RobotView) -> str:
+    def _out_refusal(self, order: CommandKind, robot: int, view: RobotView) -> str:
         """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
         roster = self._mission.roster
         if (robot in roster.out) is (order is CommandKind.OUT):

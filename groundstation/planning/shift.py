@@ -85,15 +85,25 @@ def form_shifts(experiment: Experiment, segment: PlanSegment, begin_s: float, ch
 
 
 def _turned(within: SlotOffset, yaw: Array, rate: Array, bend: Array) -> SlotOffset:
-    """A shift in a level structure that turns, in the pool frame (node_motion)."""
+    """A shift s in a level structure that turns, in the pool frame (node_motion). R: the structure's rotation, w: its turn
+    rate about the vertical z.
+
+        p = R s        p' = w z x p + R s'        p'' = w' z x p - w^2 p + 2 w z x R s' + R s''        (- w^2 p: x and y alone)
+    """
     rotation = structure_rotation(yaw, np.zeros_like(yaw))
-    arm, drift, swing = (
+    place, velocity, acceleration = (
         np.einsum("nij,nj->ni", rotation, each) for each in (within.place_m, within.rate_mps, within.bend_mps2)
     )
-    across, sideways = (np.column_stack([-each[:, 1], each[:, 0], np.zeros(len(each))]) for each in (arm, drift))
-    inward = -arm * np.array([1.0, 1.0, 0.0])
-    turning, angular = rate[:, None], bend[:, None]
-    return SlotOffset(arm, turning * across + drift, angular * across + turning**2 * inward + 2.0 * turning * sideways + swing)
+    across_place, across_velocity = (
+        np.column_stack([-each[:, 1], each[:, 0], np.zeros(len(each))]) for each in (place, velocity)
+    )
+    inward = -place * np.array([1.0, 1.0, 0.0])
+    w, w_rate = rate[:, None], bend[:, None]
+    return SlotOffset(
+        place,
+        w * across_place + velocity,
+        w_rate * across_place + w**2 * inward + 2.0 * w * across_velocity + acceleration,
+    )
 
 
 def move_past(experiment: Experiment, segment: PlanSegment, begin_s: float, obstacles: Array, clear_m: float) -> PlanSegment:

@@ -449,16 +449,18 @@ class Bus:
             return Reply(command.robot, False, str(error))
 
     def claim(self, process: str, stopped: Callable[[], bool], patience_s: float = SAME_NAME_S) -> None:
-        """Take a name in the fleet, or wait until no other process has it: one that has crashed is missed after some seconds.
-        Raises ConfigError if one has it all the same, Unreached if this process is to stop before it is free: who goes on then
-        would take leave of the other's board in its name. Do it first: two of one name would act by turns.
+        """Take a name in the fleet, once no other process has it. A process that has crashed loses its name after seconds.
+        Raises ConfigError if the name is still taken after `patience_s`, and Unreached if this process is to stop before the
+        name is free: it must not act on the other's board. Claim the name before anything else: two processes of one name
+        would act by turns.
 
-        Of several that begin together each says so, looks again when the others must have heard, and the lowest session gets
-        the name. One that appears all the same, when a network has been in two parts, is an error in the log of both."""
+        Of several processes that claim it together, each announces its claim, looks again when the others must have heard of
+        it, and the lowest session gets the name. Where two have it all the same, after a network was in two parts, both log an
+        error."""
         held, namesakes = False, set[tuple[str, int]]()  # states and sessions of processes of this name
 
         def look(anew: bool) -> set[tuple[str, int]]:
-            """The processes as they are told from now on; `anew` by a connection that remembers none of before."""
+            """The processes of this name, kept up to date; `anew`: by a new connection, which remembers no earlier ones."""
             processes = set[tuple[str, int]]()
 
             def note(key: str, there: bool) -> None:
