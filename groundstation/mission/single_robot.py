@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.formation_clock import named_alone
-from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
+from groundstation.mission.command_dispatcher import MOVING, CommandDispatcher, CommandResult
 from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, UNFIT, Mission, may_have_power
 from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
@@ -64,7 +64,7 @@ class SingleRobotControl:
     def __init__(self, experiment: Experiment, mission: Mission) -> None:
         self.tasks: dict[int, RobotTask] = {}  # the last one of each robot
         self._experiment, self._mission = experiment, mission
-        self._dispatchers = {robot: CommandDispatcher(experiment.hash) for robot in experiment.robot_ids}
+        self._dispatchers = {robot: CommandDispatcher(experiment.hash, mission.departures) for robot in experiment.robot_ids}
         self._planned_for: tuple[int, RobotTask] | None = None
         self._interrupted_ns: dict[int, int] = {}  # by robot whose DRIVE another request ended: instant of the last velocity
         self.plan_request: PlanRequest | None = None
@@ -316,7 +316,7 @@ class SingleRobotControl:
             self._end(robot, f"robot {robot} is {mode_name(view) if view.heard else 'not heard'}")
             return ()
         if transfer is None:
-            if view.mode is not Mode.HOLDING:
+            if view.mode is not Mode.HOLDING or self._mission.departures.may_come(robot):
                 return self._send(CommandKind.HOLD, robot, None, now_ns)
             rests = view.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
             if rests and self.plan_request is None:
@@ -333,6 +333,8 @@ class SingleRobotControl:
             task.started = True  # at the path's end a robot that lags has SETTLE_S to come up
             settled = flown and (view.speed_mps < AT_REST_MPS or state.trajectory_s >= transfer.end_s)
             return self._send(CommandKind.HOLD, robot, None, now_ns) if settled else ()
+        if view.mode in MOVING:
+            return self._send(CommandKind.HOLD, robot, None, now_ns)
         if state.trajectory_id != trajectory.id:
             return self._send(CommandKind.LOAD, robot, trajectory, now_ns)
         if task.timetable is None:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from groundstation.mission.command_dispatcher import MOVING
 from groundstation.mission.gain_update import GainStage
 from groundstation.mission.mission import JOIN_WITHIN_S
-from groundstation.mission.objections import MOVING
 from groundstation.mission.request_progress import KEPT
 from groundstation.mission.single_robot import CONFIRMS, DISARMING
 from groundstation.mission.state_machine import (
@@ -20,6 +20,7 @@ from groundstation.mission.state_machine import (
     IN_FLIGHT,
     JOINING,
     NOMINAL,
+    PLANNING,
     TERMINAL,
     WATER,
     MissionState,
@@ -196,7 +197,8 @@ class Invariants:
             elif robot.clock.id.startswith(ALONE):
                 led = CommandKind.GO in self._asked_of(robot.id)
             else:
-                led = mission.state in COMMITTED | JOINING and robot.id in mission.roster.active
+                flies = mission.state in (COMMITTED | JOINING) - PLANNING - {MissionState.PAUSED}
+                led = flies and robot.id in mission.roster.active
             moves = robot.alive and robot.mode in MOVING and self.pool.reach(robot.id)
             self.unled_s[robot.id] = self.unled_s.get(robot.id, 0.0) + STEP_NS * 1e-9 if moves and not led else 0.0
             assert self.unled_s[robot.id] <= LED_WITHIN_S, (
