@@ -22,7 +22,7 @@ from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import Fleet, RobotView, foreign_poses, preflight
+from groundstation.telemetry import Fleet, RobotView, blind_robots, foreign_poses, preflight
 from shoal.config.experiment import Experiment
 from shoal.messages.messages import Command, CommandKind, DriveVelocity, Mode, Progress, Trajectory
 
@@ -194,9 +194,14 @@ class SingleRobotControl:
             return f"robot {robot} is STOPPED: clear the stop" if view.mode is Mode.STOPPED else ""
         if view.mode not in LIVE:
             return f"robot {robot} is {mode_name(view)}: arm it first"
-        if order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
-            return foreign
+        if reason := self._may_not_move(order, robot, fleet):
+            return reason
         return self._no_place(robot, fleet, place_m) if order is CommandKind.GO else ""
+
+    def _may_not_move(self, order: CommandKind, robot: int, fleet: Fleet) -> str:
+        """Reason why a robot may not do such a request as it sees now; empty if it may. Who drives it looks at the water."""
+        foreign = foreign_poses(self._experiment, fleet, (robot,)) if order in LED else ""
+        return foreign or (blind_robots(self._experiment, fleet, (robot,)) if order is CommandKind.GO else "")
 
     def _wrong_water(self, order: CommandKind, robot: int, view: RobotView) -> str:
         """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
@@ -272,8 +277,8 @@ class SingleRobotControl:
 
     def _advance(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""
-        if task.order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
-            self._end(robot, foreign)  # the mission lets it hold
+        if reason := self._may_not_move(task.order, robot, fleet):
+            self._end(robot, reason)  # the mission lets it hold
             return ()
         if task.order is CommandKind.DRIVE and task.velocity is not None:
             return self._drive(robot, task, task.velocity, view, now_ns)
