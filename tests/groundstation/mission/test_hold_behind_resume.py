@@ -1,24 +1,16 @@
 """Another plan or place behind a RESUME, of which the robots do not know yet: the radio takes a while."""
 
-import pytest
-
 from groundstation.mission.state_machine import MissionState
 from shoal.messages.messages import CommandKind, Mode
 from tests.groundstation.mission.simulated_fleet import CIRCLE, TWO, SimulatedFleet, an_experiment
 
 DELAY_NS = 150_000_000  # each way: a state that a robot sent before the RESUME comes after it
-PLANNING_NS = 50_000_000
-
-
-@pytest.fixture(autouse=True)
-def _quick_plans(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plans that are there before a robot's state that says that it has set off."""
-    monkeypatch.setattr("tests.groundstation.mission.simulated_fleet.PLANNING_NS", PLANNING_NS)
+PLANNING_NS = 50_000_000  # a plan is there before a robot's state that says that it has set off
 
 
 def held_fleet() -> SimulatedFleet:
     """Robots that hold on their way, over a radio that is slow but hears them."""
-    pool = SimulatedFleet(an_experiment("go-on", TWO, CIRCLE))
+    pool = SimulatedFleet(an_experiment("go-on", TWO, CIRCLE), planning_ns=PLANNING_NS)
     for robot in pool.robots.values():
         robot.radio.delay_ns = 20_000_000
     pool.run(1.0)
