@@ -459,7 +459,7 @@ class Mission:
         plans = self.plans
         in_step = [r for r in self.roster.active if abs(self.behind_s(r, fleet[r], now_ns)) <= OUT_OF_STEP_S]
         clocks_s = [clock_s for r in in_step if (clock_s := self._clock_s(r, fleet[r])) is not None]
-        progress_s = min(clocks_s, default=plans.progress_s)
+        progress_s = min(*clocks_s, self.segment.end_s) if clocks_s else plans.progress_s  # no plan begins beyond the end
         if self.state is MissionState.PAUSED:  # all go on from the slowest robot's progress, except one that fell out of step
             plans.progress_s = max(plans.progress_s, progress_s)
             return
