@@ -18,10 +18,10 @@ from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.mission import ATTENDED, Mission
-from groundstation.mission.objections import LIVE, objection
+from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.state_machine import READY, MissionState, in_words, rejection_reason
+from groundstation.mission.state_machine import READY, MissionState, in_words
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment
@@ -359,13 +359,7 @@ class Station:
         """Plan another form of the formation, or another experiment's path, without flying it. Raises PlanError with the
         reason for which it cannot be."""
         with self.lock:
-            mission = self.mission
-            context = mission.request_context(order, self.views, text=text)
-            reason = rejection_reason(order, mission.state) or objection(order, context)
-            if reason:
-                raise PlanError(reason)
-            other = context.other_flight if order is CommandKind.PATH else None
-            make = mission.plans.draft(text, other, self.views, self.clock.now_ns(), mission.state)
+            make = self.mission.draft(order, text, self.views, self.clock.now_ns())
         until_s = time.monotonic() + DRAFT_S
         return make(lambda: time.monotonic() > until_s)
 
