@@ -69,16 +69,16 @@ def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], coun
     eta = {robot: t.eta[:count, :3] for robot, t in trajectories.items()}
     keep_m = 2.0 * experiment.safety.radius_m
     pairs = list(combinations(trajectories, 2))
-    give_way = [_give_way(experiment, a, b) for a, b in pairs]
+    gives_way = [give_way(experiment, a, b) for a, b in pairs]
     apart_m = [
-        np.linalg.norm(eta[a] - eta[b], axis=1)[-1 if late else 0 :] for (a, b), late in zip(pairs, give_way, strict=True)
+        np.linalg.norm(eta[a] - eta[b], axis=1)[-1 if late else 0 :] for (a, b), late in zip(pairs, gives_way, strict=True)
     ]
     nearest_m = min(apart_m, key=np.min, default=np.array([np.inf]))  # of the pair that comes nearest, over time
     least_m = float(nearest_m.min())
     begins_too_near = nearest_m[0] == least_m < keep_m - TOLERANCE
     moves_apart = nearest_m[-1] >= keep_m - TOLERANCE
     when = ", as they lie now" if begins_too_near and moves_apart else ""  # no plan can mend that
-    when = when or (" at the end (before, robots give way)" if any(give_way) else "")
+    when = when or (" at the end (before, robots give way)" if any(gives_way) else "")
     away_m = float(experiment.clearance_m(np.vstack(list(eta.values()))).min())
     listed = [
         PlanFigure(f"between centres{when}", "m", least_m, keep_m, True),
@@ -138,7 +138,7 @@ def pair_problems(
     closest_m = 2.0 * experiment.safety.radius_m
     for a, b in combinations(sorted(motions), 2):
         check_time(out_of_time)
-        counts = slice(count - 1 if _give_way(experiment, a, b) else 0, count)
+        counts = slice(count - 1 if give_way(experiment, a, b) else 0, count)
         apart = np.full(count, np.inf)
         apart[counts] = np.linalg.norm(motions[a].eta[counts, :3] - motions[b].eta[counts, :3], axis=1)
         index = int(np.argmin(apart))
@@ -147,7 +147,7 @@ def pair_problems(
             yield f"robots {a} and {b}: {short} {_moment(experiment, begin_s, index, motions[a].eta[index])}"
 
 
-def _give_way(experiment: Experiment, a: int, b: int) -> bool:
+def give_way(experiment: Experiment, a: int, b: int) -> bool:
     """True for two robots on different paths: they give way to each other in flight, and only their ends are kept apart."""
     return experiment.path_of(experiment.robot(a)) != experiment.path_of(experiment.robot(b))
 
