@@ -99,15 +99,17 @@ def robot_problems(
     begin_s: float = 0.0,
     out_of_time: OutOfTime = never,
 ) -> Iterator[str]:
-    """Lines for limits that robots would exceed in their first `count` samples, the first of them at `begin_s`: one a kind."""
+    """Lines for limits that robots would exceed, one a kind; the first sample is at `begin_s`. Walls and islands count in the
+    first `count` samples. Behind those are the ones to which a controller looks ahead: robots ask that these, too, lie in the
+    pool and can be flown (guidance/trajectory_check.py)."""
     for robot, motion in motions.items():
         check_time(out_of_time)
         eta = motion.eta[:count]
         for what, unit, _, limit, values in experiment.vehicle.demands(motion.velocity, motion.acceleration):
-            worst = _worst(values[:count], limit)
+            worst = _worst(values[:count], limit) or _worst(values, limit)
             if worst is not None:
                 over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"
-                yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, eta[worst.index])}"
+                yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, motion.eta[worst.index])}"
         for index, what in _leaps(motion, experiment.controller.period_s):
             yield f"robot {robot}: {what} at once {_moment(experiment, begin_s, index, motion.eta[index])}"
         for what, excess in outside(experiment, eta[:, :3]).items():
@@ -115,6 +117,11 @@ def robot_problems(
             if worst is not None:
                 where = _moment(experiment, begin_s, worst.index, eta[worst.index])
                 yield f"robot {robot}: {worst.value:.3f} m beyond {what} {where}"
+        ahead = motion.eta[count:, :3] if experiment.pool.walls else motion.eta[:0, :3]
+        out = np.flatnonzero(~experiment.pool.holds(ahead))
+        if len(out):
+            where = _moment(experiment, begin_s, count + int(out[0]), ahead[out[0]])
+            yield f"robot {robot}: leaves the pool {where}, on its way on after the end: end sooner, or let the path stop"
 
 
 def _leaps(motion: NodeMotion, period_s: float) -> Iterator[tuple[int, str]]:

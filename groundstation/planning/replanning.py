@@ -149,7 +149,8 @@ def _rerouted(
     if there >= samples - 2 and longer < LONGEST:
         return _rerouted(experiment, segment, begin_s, given_via, out_of_time, LONGEST)
     there_s = begin_s + period_s * there
-    end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
+    stays_s = STAY_S if route.stop else 0.0  # one that does not stop would fly on beyond the place
+    end_s = there_s + (stays_s if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
     around = _gone_over(experiment, segment, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
     return replace(around, via=tuple(given_via) or segment.via, forms=segment.forms, path_s=segment.path_s)

@@ -68,7 +68,7 @@ def plan_regroup(
     moves = plan_transfers(experiment, rests, places, away, out_of_time)
     still = max(len(m.eta) for m in moves.values())
     on_way = {slots[r]: m for r, m in moves.items()}
-    left = round((segment.end_s - progress_s + RAMP_S) / period_s) + planner.horizon(experiment)
+    left = round((segment.end_s - progress_s + 0.5 * RAMP_S) / period_s) + planner.horizon(experiment)  # as much as there is
     turn = turn_samples(experiment)
     trajectories = {s: _then_on(t, on_way.get(s), still, turn, progress_s, left) for s, t in segment.trajectories.items()}
     moved = {s: planner.trajectory(m, period_s, begin_s) for s, m in trajectories.items()}
