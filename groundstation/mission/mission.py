@@ -8,6 +8,7 @@ that the mission waits for, `planned` takes its outcome.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +25,7 @@ from groundstation.mission.objections import (
     unfit_to_return,
 )
 from groundstation.mission.obstacle_monitor import ObstacleSet
-from groundstation.mission.plan_manager import PlanManager, PlanRequest
+from groundstation.mission.plan_manager import PlanMaker, PlanManager, PlanRequest
 from groundstation.mission.roster import LED, Leader, Roster
 from groundstation.mission.state_machine import (
     AT_REST,
@@ -41,7 +42,7 @@ from groundstation.mission.state_machine import (
     rejection_reason,
 )
 from groundstation.mission.timetable import START_IN_S, ProgressGovernor, Timetable, turn_s
-from groundstation.planning.feasibility import PlanError
+from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import (
     OUT_OF_STEP_S,
@@ -254,6 +255,26 @@ class Mission:
             self.roster.take_back()
             if self.state in PLANNING:
                 self._drop_disarmed(fleet)
+
+    def draft(self, order: CommandKind, text: str, fleet: Fleet, now_ns: int) -> PlanMaker:
+        """Function that plans what a FORMATION or a PATH would fly, without asking for it: by the robots that would fly it,
+        each with its trajectory under its own number. Raises PlanError with the reason against the request."""
+        context = self.request_context(order, fleet, text=text)
+        reason = rejection_reason(order, self.state) or objection(order, context)
+        if reason:
+            raise PlanError(reason)
+        roster = context.roster
+        if self.state is MissionState.PAUSED and self._would_have_gap:
+            roster = copy(roster)
+            roster.reassign_slots(*self.plans.formation, fleet)
+        other = context.other_flight if order is CommandKind.PATH else None
+        make = self.plans.of_roster(roster).draft(text, other, fleet, now_ns, self.state)
+
+        def by_robot(out_of_time: OutOfTime) -> PlanSegment:
+            segment = make(out_of_time)
+            return replace(segment, trajectories=roster.trajectories(segment))
+
+        return by_robot
 
     def takes_out(self, order: CommandKind) -> bool:
         """True if such an order takes its robot out of the formation: in flight always, while all hold DISARM and OUT."""
