@@ -199,7 +199,8 @@ class LogPlayer:
         return map(self._block, range(index, max(index - LINK_BLOCKS, -1), -1))
 
     def events(self) -> list[dict[str, Any]]:
-        """Lines of the run's log, for the page: a line that its robot has kept from before at its own time."""
+        """Lines of the run's log, for the page: a line that its robot has kept from before at its own time. Each with the
+        beginning of the flight from which people count it."""
         notes, leads_ns = list[dict[str, Any]](), dict[int, int]()  # by session of a robot: how much it is ahead
         for line in self._log.messages(lambda topic, _: topic is topics.EVENT):
             event = _read(Event, line.payload)
@@ -213,7 +214,8 @@ class LogPlayer:
             written_ns = line.header.stamp_ns + leads_ns.get(session, arrived_ns - line.header.stamp_ns)
             if session_clocks.is_old_line(written_ns, arrived_ns):  # or the clock was set meanwhile
                 written_ns = self._instant_ns(line.header, arrived_ns, index)
-            notes.append(event_note(event, written_ns if session_clocks.is_old_line(written_ns, arrived_ns) else arrived_ns))
+            at_ns = written_ns if session_clocks.is_old_line(written_ns, arrived_ns) else arrived_ns
+            notes.append(event_note(event, at_ns) | {"began_s": self.began_ns(at_ns) * 1e-9})
         return notes
 
     def past(self) -> list[dict[str, Any]]:
