@@ -19,7 +19,7 @@ from groundstation.web.server import WebServer
 from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import Event, Preview, RobotState, StationHeartbeat
+from shoal.messages.messages import Event, Message, Preview, RobotState, StationHeartbeat
 from shoal.messages.topics import Topic
 from shoal.runtime.web_access import WebOptions
 from sim_bridge.sil.ports import free_port
@@ -188,7 +188,7 @@ def test_a_mark_counts_from_its_own_flight_and_none_lies_on_another(browser: Bro
     (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     lines = [(12.0, "first"), (12.1, "second"), (12.3, "third"), (42.0, "fourth")]
-    said: list[tuple[Topic, object, float]] = [(topics.EVENT, Event(3, "agent-1", text), at_s) for at_s, text in lines]
+    said: list[tuple[Topic, Message, float]] = [(topics.EVENT, Event(3, "agent-1", text), at_s) for at_s, text in lines]
     said += [(topics.HEARTBEAT, StationHeartbeat(began_ns=round(at_s * 1e9)), at_s) for at_s in (10.0, 40.0)]
     said += [(topics.STATE, RobotState(), float(at_s)) for at_s in range(61)]
     for number, (topic, message, at_s) in enumerate(sorted(said, key=lambda one: one[2])):
