@@ -74,7 +74,7 @@ SOMETHING = {
 SET = {
     ("_at_most", "is_whole"): "True",
     ("_rerouted", "longer"): "0.4",
-    ("_rows_of", "top_in"): "0.15",
+    ("_axis_rows", "top_in"): "0.15",
     ("_split", "percent"): "50.0",
     ("add", "days"): "397.0",
     ("deploy", "restart"): "True",
