@@ -149,7 +149,8 @@ def _rerouted(
     if arrival >= samples - 2 and longer < LONGEST:
         return _rerouted(experiment, segment, begin_s, given_via, out_of_time, LONGEST)
     arrival_s = begin_s + period_s * arrival
-    end_s = arrival_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
+    stays_s = STAY_S if route.stop else 0.0  # one that does not stop would fly on beyond the place
+    end_s = arrival_s + (stays_s if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
     motions = {r: _cut(motion, kept) for r, motion in new.items()}
     blended = _blended_segment(experiment, segment, begin_s, motions, _cut(centre, kept), end_s)

@@ -6,13 +6,12 @@ Frames to a page: u32 number, f32 round trip of the last one in ms, then a Messa
 
 import asyncio
 import contextlib
-import math
 import struct
 import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import msgspec
@@ -20,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
-from groundstation.web.backend import Backend
+from groundstation.web.backend import ALWAYS, Backend, Validity
 from groundstation.web.experiment_editor import attempt, drafted, flight_text, loadable, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
@@ -410,7 +409,7 @@ class ClientHub:
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
         """Make a page's request of the station, and answer the page. Any page may stop the fleet, however late it comes."""
         order, station = order_named(request.order), self._source.station
-        until_s = math.inf if order in ALWAYS_TAKEN else _until_s(request.seen_ms, ORDER_VALID_S)
+        valid = ALWAYS if order in ALWAYS_TAKEN else _validity(request.seen_ms, ORDER_VALID_S)
 
         def objection() -> str:
             late = "" if order in ALWAYS_TAKEN else self._lateness_refusal(request.seen_ms, ORDER_VALID_S)
@@ -419,17 +418,17 @@ class ClientHub:
         if order is CommandKind.STOP:
             reason, number = await self._in_thread(self._stops, _refused, station.request, order)
         elif order is CommandKind.PATH:
-            reason, number = await self._request_path(request, objection, until_s)
+            reason, number = await self._request_path(request, objection, valid)
         else:
             reason, number = await self._run_order(
                 objection,
                 _refused,
-                lambda: station.request(order, request.via_m, request.robot, request.text, until_s),
+                lambda: station.request(order, request.via_m, request.robot, request.text, valid),
             )
         self._answer(watcher, request.n, request.order, reason, number)
 
     async def _request_path(
-        self, request: protocol.OrderRequest, objection: Callable[[], str], until_s: float
+        self, request: protocol.OrderRequest, objection: Callable[[], str], valid: Validity
     ) -> tuple[str, int]:
         """Ask the station for another path. A disk that hangs keeps no other order waiting: the path has its turn, is read
         beside the orders, and is flown only if no request has been made since its turn."""
@@ -447,17 +446,16 @@ class ClientHub:
         reason, text = await self._in_thread(self._files, lambda why: (why, ""), read)
         if reason:
             return reason, 0
-        return await self._run_order(
-            objection, _refused, lambda: station.request(path, (), WHOLE_FLEET, text, until_s, asked_s)
-        )
+        valid = replace(valid, asked_s=asked_s)
+        return await self._run_order(objection, _refused, lambda: station.request(path, (), WHOLE_FLEET, text, valid))
 
     async def _drive(self, watcher: Client, drive: protocol.DriveRequest) -> None:
         """Tell the station a velocity. The page hears of refusals alone."""
         velocity = DriveVelocity(drive.surge_mps, drive.heave_mps, drive.yaw_rate_radps)
         reason = await self._run_order(
             lambda: self._control_refusal(watcher) or self._lateness_refusal(drive.seen_ms, DRIVE_VALID_S),
-            lambda objection: objection,
-            lambda: self._source.station.drive(drive.robot, velocity, _until_s(drive.seen_ms, DRIVE_VALID_S)),
+            str,
+            lambda: self._source.station.drive(drive.robot, velocity, _validity(drive.seen_ms, DRIVE_VALID_S)),
         )
         if reason:
             watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})
@@ -467,7 +465,7 @@ class ClientHub:
             lambda: self._control_refusal(watcher) or self._lateness_refusal(request.seen_ms, ORDER_VALID_S),
             _refused,
             lambda: self._source.station.request_gains(
-                request.values, request.next_lap, _until_s(request.seen_ms, ORDER_VALID_S)
+                request.values, request.next_lap, _validity(request.seen_ms, ORDER_VALID_S)
             ),
         )
         self._answer(watcher, request.n, "tune", reason, number)
@@ -531,9 +529,9 @@ def _age_s(seen_ms: int) -> float:
     return (request_clock_ns() - seen_ms * 1_000_000) * 1e-9
 
 
-def _until_s(seen_ms: int, valid_s: float) -> float:
-    """Instant (s, monotonic) until which a request counts, by what its page has seen."""
-    return time.monotonic() + valid_s - _age_s(seen_ms)
+def _validity(seen_ms: int, valid_s: float) -> Validity:
+    """Bounds of a request by what its page has seen."""
+    return Validity(time.monotonic() + valid_s - _age_s(seen_ms))
 
 
 def _refused(reason: str) -> tuple[str, int]:

@@ -20,7 +20,7 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
-from groundstation.web.backend import ShownPicture
+from groundstation.web.backend import ALWAYS, ShownPicture, Validity
 from groundstation.web.experiment_editor import attempt, edited
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
@@ -296,18 +296,17 @@ class _NoRequests:
         via: Sequence[tuple[float, float]] = (),
         only: int = WHOLE_FLEET,
         text: str = "",
-        until_s: float = math.inf,
-        asked_s: float = math.inf,
+        valid: Validity = ALWAYS,
     ) -> tuple[str, int]:
         return "this is a recorded run", 0
 
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError("this is a recorded run")
 
-    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
+    def drive(self, robot: int, velocity: DriveVelocity, valid: Validity = ALWAYS) -> str:
         return "this is a recorded run"
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, valid: Validity = ALWAYS) -> tuple[str, int]:
         return "this is a recorded run", 0
 
 
