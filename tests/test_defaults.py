@@ -62,6 +62,8 @@ SOMETHING = {
     ("TimelineEvent", "times"): "1",
     ("Tokens", "at_s"): "float('-inf')",
     ("Topic", "readers"): "EVERYONE",
+    ("Validity", "asked_s"): "math.inf",
+    ("Validity", "until_s"): "math.inf",
     ("WebOptions", "host"): "'127.0.0.1'",
     ("WebOptions", "port"): "8000",
     ("_Request", "only"): "WHOLE_FLEET",
