@@ -206,8 +206,8 @@ def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int)
 
 
 def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) -> Iterator[LogMessage]:
-    """A robot's inputs, commands and states up to the moment at which the first of `robots` that came so far was `at_s` along
-    its trajectory, and the truth around it. Raises ConfigError if there is no such moment."""
+    """A robot's inputs, commands and states up to a moment, and the truth around it. The moment is when the first of `robots`
+    to come so far was `at_s` along its trajectory. Raises ConfigError if there is none."""
     moment_ns = _moment_ns(log, robots, at_s)
     own = own_messages(log, robot, with_states=True)
     state_lines = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
