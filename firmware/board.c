@@ -187,8 +187,13 @@ static enum result calibrate(struct board *board, const struct event *event) {
         rules_say(&board->rules, SAY_WARNING, PSTR("not calibrated: armed"));
         return REJECTED;
     }
+    if (takes && rules_hil(&board->rules)) {
+        rules_say(&board->rules, SAY_WARNING, PSTR("not calibrated: in HIL mode"));
+        return REJECTED;
+    }
     if (!zero_calibrate(&board->zero, event->calibrate.pressure, event->calibrate.gyro)) {
-        rules_say(&board->rules, SAY_WARNING, PSTR("no depth zero is kept: take it in air"));
+        rules_say(&board->rules, SAY_WARNING,
+                  takes ? PSTR("depth zero not taken: no pressure") : PSTR("no depth zero is kept: take it in air"));
         return REJECTED;
     }
     if (!takes)
@@ -373,6 +378,8 @@ static struct reading zeroed(struct board *board, const struct reading *measured
     const enum zero_event event = zero_pressure(zero, measured->excess_hpa);
     if (event == ZERO_TAKEN)
         rules_say(&board->rules, SAY_INFO, PSTR("depth zero taken"));
+    if (event == ZERO_MISSED)
+        rules_say(&board->rules, SAY_WARNING, PSTR("depth zero not taken: no pressure"));
     if (event == ZERO_QUESTIONED)
         rules_say(&board->rules, SAY_WARNING, PSTR("depth zero in question: confirm it"));
     if (zero_rate(zero, measured->yaw_rate_radps) == BIAS_TAKEN || event == ZERO_TAKEN)

@@ -23,7 +23,12 @@ static bool is_in_air(const struct zero *zero, float pressure_hpa) {
 }
 
 enum zero_event zero_pressure(struct zero *zero, float pressure_hpa) {
-    if (zero->purpose == ZERO_DONE || !isfinite(pressure_hpa))
+    zero->has_pressure = isfinite(pressure_hpa);
+    if (!zero->has_pressure && zero->purpose == ZERO_TAKE) {
+        zero->purpose = ZERO_DONE;
+        return ZERO_MISSED;
+    }
+    if (zero->purpose == ZERO_DONE || !zero->has_pressure)
         return ZERO_SAME;
     zero->pressures_hpa += pressure_hpa;
     if (++zero->pressures < SURFACE_SAMPLES)
@@ -60,6 +65,8 @@ enum zero_event zero_rate(struct zero *zero, float rate_radps) {
 }
 
 bool zero_calibrate(struct zero *zero, bool pressure, bool gyro) {
+    if (pressure && !zero->has_pressure)
+        return false;
     if (gyro)
         begin_gyro(zero);
     if (pressure) {

@@ -35,21 +35,22 @@ struct start {
 };
 
 enum zero_purpose { ZERO_JUDGE, ZERO_TAKE, ZERO_DONE }; /* what the pressures that come are for */
-enum zero_event { ZERO_SAME, ZERO_TAKEN, ZERO_QUESTIONED, BIAS_TAKEN };
+enum zero_event { ZERO_SAME, ZERO_TAKEN, ZERO_QUESTIONED, BIAS_TAKEN, ZERO_MISSED };
 
 struct zero {
     struct start start;
     struct zeros now;
-    bool has_surface, takes_gyro, is_restarted, is_in_question;
+    bool has_surface, has_pressure, takes_gyro, is_restarted, is_in_question;
     uint8_t purpose, pressures, rates;
     float pressures_hpa, rates_radps; /* sums */
     float first_radps;                /* of these rates */
 };
 
 void zero_begin(struct zero *zero, const struct start *start);
-enum zero_event zero_pressure(struct zero *zero, float pressure_hpa); /* a measurement above 1013.25 hPa */
+enum zero_event zero_pressure(struct zero *zero, float pressure_hpa); /* a measurement above 1013.25 hPa, or NaN */
 enum zero_event zero_rate(struct zero *zero, float rate_radps);       /* a measurement of the gyro, with its bias */
-/* For a person: what is kept is right, or the zeros are taken anew where the robot is. False if nothing is kept. */
+/* For a person: what is kept is right, or the zeros are taken anew where the robot is. False if nothing is kept, or
+the pressure is not measured now: taken later, it may be that of water. */
 bool zero_calibrate(struct zero *zero, bool pressure, bool gyro);
 void zero_leave_bias(struct zero *zero); /* the robot no longer lies still */
 float zero_excess_hpa(const struct zero *zero, float pressure_hpa); /* NaN without a surface pressure */

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
+from groundstation.mission.command_dispatcher import MOVING, CommandDispatcher, CommandResult, Departures
 from groundstation.mission.objections import (
     ARMED,
     LIVE,
-    MOVING,
     RequestContext,
     fit_to_rejoin,
     mode_name,
@@ -147,7 +146,8 @@ class Mission:
         self.governor = ProgressGovernor(experiment.mission)
         self.roster = Roster(experiment.robot_ids, segment)
         self.plans = PlanManager(experiment, segment, starts, self.roster)
-        self._dispatcher = CommandDispatcher(experiment.hash)
+        self.departures = Departures()
+        self._dispatcher = CommandDispatcher(experiment.hash, self.departures)
         self._experiment = experiment
         self._data, self._run = _StateData(), _RunData()
         self.cycle_ns = 0  # instant of the last cycle; 0 before the first
@@ -365,6 +365,7 @@ class Mission:
         if refused and (not self.reason or self.state in SHOWS_REFUSALS):
             self.reason = refused
         self.plans.monitor.update(obstacles, now_ns)
+        self.departures.note_fleet(fleet, now_ns)
         if self._give_up_s is not None and self.state in UNDER_WAY:
             self._check_progress(self._give_up_s, now_ns)
         if self.state is MissionState.WAITING:
@@ -479,7 +480,7 @@ class Mission:
         plans = self.plans
         in_step = [r for r in self.roster.active if abs(self.behind_s(r, fleet[r], now_ns)) <= OUT_OF_STEP_S]
         clocks_s = [clock_s for r in in_step if (clock_s := self._clock_s(r, fleet[r])) is not None]
-        progress_s = min(clocks_s, default=plans.progress_s)
+        progress_s = min(*clocks_s, self.segment.end_s) if clocks_s else plans.progress_s  # no plan begins beyond the end
         if self.state is MissionState.PAUSED:  # all go on from the slowest robot's progress, except one that fell out of step
             plans.progress_s = max(plans.progress_s, progress_s)
             return
@@ -635,7 +636,9 @@ class Mission:
             return ()
         if stage.order is CommandKind.ARM:  # under power it refuses; restarted meanwhile, it would be armed by this
             waiting = [r for r in waiting if fleet[r].mode not in LIVE]
-        return self._send(stage.order, waiting, now_ns)
+        moving = [r for r in waiting if self.state in PLANNING and fleet[r].mode in MOVING]  # a plan from rest is not for them
+        others = [r for r in waiting if r not in moving]
+        return self._send(CommandKind.HOLD, moving, now_ns) + self._send(stage.order, others, now_ns)
 
     def _note_power(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> None:
         """Remember which robots were armed since the last request for which they may be, by their states and replies."""
@@ -687,7 +690,12 @@ class Mission:
             self._go(MissionEvent.RECOVERED, now_ns)
             self._replan_if_needed(fleet, now_ns)
             return ()
-        return self._send(CommandKind.HOLD, [r for r in moving if r not in self.roster.led_by_people], now_ns)
+        told = [r for r in moving + self._may_set_off(fleet) if r not in self.roster.led_by_people]
+        return self._send(CommandKind.HOLD, told, now_ns)
+
+    def _may_set_off(self, fleet: Fleet) -> list[int]:
+        """Robots that say that they hold, and may set off all the same."""
+        return [r for r in self.roster.active if fleet[r].mode is Mode.HOLDING and self.departures.may_come(r)]
 
     @property
     def _may_replan(self) -> bool:
@@ -754,11 +762,11 @@ class Mission:
             if waited_s > PATIENCE_S:
                 self._on_timeout(f"robot {', '.join(map(str, flying))} does not follow HOLD", now_ns)
                 return ()
-            return self._send(CommandKind.HOLD, flying, now_ns)
+            return self._send(CommandKind.HOLD, flying + self._may_set_off(fleet), now_ns)
         fast = any(fleet[r].speed_mps > AT_REST_MPS for r in self.roster.active if fleet[r].mode is Mode.HOLDING)
         if not fast or waited_s > REST_WITHIN_S:
             self.plans.request_plan_from_rest(fleet)
-        return ()
+        return self._send(CommandKind.HOLD, self._may_set_off(fleet), now_ns)
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Have each robot test its thrusters, until all have a result."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.formation_clock import named_alone
-from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
+from groundstation.mission.command_dispatcher import MOVING, CommandDispatcher, CommandResult
 from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, UNFIT, Mission, may_have_power
 from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
@@ -22,7 +22,7 @@ from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import Fleet, RobotView, foreign_poses, preflight
+from groundstation.telemetry import Fleet, RobotView, blind_robots, foreign_poses, preflight
 from shoal.config.experiment import Experiment
 from shoal.messages.messages import Command, CommandKind, DriveVelocity, Mode, Progress, Trajectory
 
@@ -64,7 +64,7 @@ class SingleRobotControl:
     def __init__(self, experiment: Experiment, mission: Mission) -> None:
         self.tasks: dict[int, RobotTask] = {}  # the last one of each robot
         self._experiment, self._mission = experiment, mission
-        self._dispatchers = {robot: CommandDispatcher(experiment.hash) for robot in experiment.robot_ids}
+        self._dispatchers = {robot: CommandDispatcher(experiment.hash, mission.departures) for robot in experiment.robot_ids}
         self._planned_for: tuple[int, RobotTask] | None = None
         self._interrupted_ns: dict[int, int] = {}  # by robot whose DRIVE another request ended: instant of the last velocity
         self.plan_request: PlanRequest | None = None
@@ -194,9 +194,14 @@ class SingleRobotControl:
             return f"robot {robot} is STOPPED: clear the stop" if view.mode is Mode.STOPPED else ""
         if view.mode not in LIVE:
             return f"robot {robot} is {mode_name(view)}: arm it first"
-        if order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
-            return foreign
+        if reason := self._may_not_move(order, robot, fleet):
+            return reason
         return self._no_place(robot, fleet, place_m) if order is CommandKind.GO else ""
+
+    def _may_not_move(self, order: CommandKind, robot: int, fleet: Fleet) -> str:
+        """Reason why a robot may not do such a request as it sees now; empty if it may. Who drives it looks at the water."""
+        foreign = foreign_poses(self._experiment, fleet, (robot,)) if order in LED else ""
+        return foreign or (blind_robots(self._experiment, fleet, (robot,)) if order is CommandKind.GO else "")
 
     def _out_refusal(self, order: CommandKind, robot: int, view: RobotView) -> str:
         """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
@@ -273,8 +278,8 @@ class SingleRobotControl:
 
     def _advance(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""
-        if task.order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
-            self._end(robot, foreign)  # the mission lets it hold
+        if reason := self._may_not_move(task.order, robot, fleet):
+            self._end(robot, reason)  # the mission lets it hold
             return ()
         if task.order is CommandKind.DRIVE and task.velocity is not None:
             return self._drive(robot, task, task.velocity, view, now_ns)
@@ -317,7 +322,7 @@ class SingleRobotControl:
             self._end(robot, f"robot {robot} is {mode_name(view) if view.heard else 'not heard'}")
             return ()
         if transfer is None:
-            if view.mode is not Mode.HOLDING:
+            if view.mode is not Mode.HOLDING or self._mission.departures.may_come(robot):
                 return self._send(CommandKind.HOLD, robot, None, now_ns)
             rests = view.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
             if rests and self.plan_request is None:
@@ -334,6 +339,8 @@ class SingleRobotControl:
             task.started = True  # at the path's end a robot that lags has SETTLE_S to come up
             settled = flown and (view.speed_mps < AT_REST_MPS or state.trajectory_s >= transfer.end_s)
             return self._send(CommandKind.HOLD, robot, None, now_ns) if settled else ()
+        if view.mode in MOVING:
+            return self._send(CommandKind.HOLD, robot, None, now_ns)
         if state.trajectory_id != trajectory.id:
             return self._send(CommandKind.LOAD, robot, trajectory, now_ns)
         if task.timetable is None:

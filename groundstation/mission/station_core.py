@@ -7,11 +7,11 @@ the one entrance for people and scripts. groundstation/station/station.py has th
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from groundstation.mission.command_dispatcher import CommandResult
+from groundstation.mission.command_dispatcher import MOVING, CommandResult
 from groundstation.mission.gain_update import TUNING, GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import AT_REST_MPS, Mission, may_have_power
-from groundstation.mission.objections import LIVE, MOVING
+from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.request_progress import RequestTracker

@@ -454,7 +454,7 @@ class ClientHub:
         velocity = DriveVelocity(drive.surge_mps, drive.heave_mps, drive.yaw_rate_radps)
         reason = await self._run_order(
             lambda: self._control_refusal(watcher) or self._lateness_refusal(drive.seen_ms, DRIVE_VALID_S),
-            lambda objection: objection,
+            str,
             lambda: self._source.station.drive(drive.robot, velocity, _validity(drive.seen_ms, DRIVE_VALID_S)),
         )
         if reason:

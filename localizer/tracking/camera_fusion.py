@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from localizer.detection.blob_tracker import convex_outline
 from localizer.sources.base import silent_after_s
 from localizer.tracking.camera_bumps import CameraBumps, Evidence
 from localizer.tracking.check_marks import with_camera
@@ -38,6 +39,7 @@ _LONGEST_STEP = 2.0  # periods between pictures that count against a camera or f
 _FORGET_S = 2.0  # s in which the square of a doubt falls to 1/e once the cameras agree again
 _FORGET_ALONE_S = 10.0  # s of the same while no robot is seen by two of them: one misread marker costs no more
 _REMEMBERED_S = 60.0  # s for which an obstacle of a camera that is out counts: longer bars a place that is free again
+_ROUNDING_M2 = 1e-9  # m^2, of a product of two distances within an outline
 _TOLD_DOUBT_M = 0.005  # m, least doubt in the poses that the operator is told of
 
 
@@ -302,21 +304,34 @@ class _FusedObstacle(NamedTuple):
 def fuse_obstacles(
     by_camera: Mapping[str, Obstacles], cameras: Sequence[str], before: Mapping[str, tuple[Obstacles, float]] | None = None
 ) -> Obstacles:
-    """The obstacles of all cameras in one list, from those of the cameras that see; one that two of them see is told by the
-    first. Numbers stay apart: that of camera k of n is n times its own plus k. `before`: the last lists of the cameras that
-    are out, with their ages in s: what they saw stays in the list with its age, and those who read it let it grow."""
+    """The obstacles of all cameras in one list, from those of the cameras that see. One that two of them see is in it once,
+    with an outline around both: either picture may end within it. Numbers stay apart: that of camera k of n is n times its
+    own plus k. `before`: the last lists of the cameras that are out, with their ages in s: what they saw stays in the list
+    with its age, and those who read it let it grow. What is not seen now goes when a camera sees something there."""
     before = before or {}
     number_of = {name: k for k, name in enumerate(cameras)}
     lists = [(number_of[name], by_camera[name], 0.0) for name in cameras if name in by_camera]
     lists += [(number_of[name], *before[name]) for name in cameras if name in before]
-    fused: list[_FusedObstacle] = []
+    sightings: list[list[_FusedObstacle]] = []
+    memories: list[list[_FusedObstacle]] = []
     for k, obstacles, since_s in lists:
-        earlier = [obstacle.outline for obstacle in fused]
-        unseen_s = ages_s(obstacles, since_s)
-        for number, outline, velocity, s in zip(obstacles.ids, obstacles.outline, obstacles.velocity, unseen_s, strict=True):
-            is_known = any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier)
-            if not is_known and (s <= _REMEMBERED_S or since_s == 0.0):
-                fused.append(_FusedObstacle(number * len(cameras) + k, outline, velocity, s))
+        rows = zip(obstacles.ids, obstacles.outline, obstacles.velocity, ages_s(obstacles, since_s), strict=True)
+        own = [_FusedObstacle(number * len(cameras) + k, *row) for number, *row in rows]
+        sightings.append([row for row in own if row.unseen_s == 0.0])
+        memories.append([row for row in own if row.unseen_s > 0.0 and (row.unseen_s <= _REMEMBERED_S or since_s == 0.0)])
+    fused: list[_FusedObstacle] = []
+    for own in sightings:
+        earlier = len(fused)
+        for row in own:
+            same = next((i for i in range(earlier) if _is_same(row, fused[i])), None)
+            if same is None:
+                fused.append(row)
+            else:
+                around = convex_outline(np.vstack([fused[same].outline, row.outline]))
+                fused[same] = fused[same]._replace(outline=around)
+    for own in memories:
+        earlier = len(fused)
+        fused += [row for row in own if not any(_is_same(row, other) for other in fused[:earlier])]
     return Obstacles(
         ids=tuple(obstacle.number for obstacle in fused),
         outline=np.array([obstacle.outline for obstacle in fused]).reshape(-1, 12, 2),
@@ -328,10 +343,17 @@ def fuse_obstacles(
     )
 
 
+def _is_same(one: _FusedObstacle, other: _FusedObstacle) -> bool:
+    """True if the middle of either lies in the other."""
+    middles = one.outline.mean(axis=0), other.outline.mean(axis=0)
+    return _inside(middles[0], other.outline) or _inside(middles[1], one.outline)
+
+
 def _inside(point: Array, outline: Array) -> bool:
-    """True if a point (2,) lies in a convex outline (n, 2) whose corners go from x to y."""
+    """True if a point (2,) lies in a convex outline (n, 2) whose corners go from x to y. Corners of a rectangle's outline lie
+    on each other, but for rounding."""
     along, to = np.roll(outline, -1, axis=0) - outline, point - outline
-    return bool(np.all(along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0] >= 0.0))
+    return bool(np.all(along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0] >= -_ROUNDING_M2))
 
 
 def _difference(one: Array, other: Array) -> Array:

@@ -244,10 +244,15 @@ class ThrusterBoard:
         if self.rules.armed:
             texts.append(StatusText(WARNING, "not calibrated: armed"))
             return agent_link.REJECTED
-        if not self.zero.calibrate(pressure, gyro):
-            texts.append(StatusText(WARNING, "no depth zero is kept: take it in air"))
+        takes = pressure or gyro
+        if takes and self.rules.parameters.hil:
+            texts.append(StatusText(WARNING, "not calibrated: in HIL mode"))
             return agent_link.REJECTED
-        if not (pressure or gyro):
+        if not self.zero.calibrate(pressure, gyro):
+            why = "depth zero not taken: no pressure" if takes else "no depth zero is kept: take it in air"
+            texts.append(StatusText(WARNING, why))
+            return agent_link.REJECTED
+        if not takes:
             texts.append(StatusText(INFO, "depth zero confirmed"))
         return agent_link.ACCEPTED
 
@@ -257,6 +262,8 @@ class ThrusterBoard:
         event = zero.take_pressure(reading.depth_m * HPA_PER_M)
         if event is ZeroEvent.TAKEN:
             texts.append(StatusText(INFO, "depth zero taken"))
+        if event is ZeroEvent.MISSED:
+            texts.append(StatusText(WARNING, "depth zero not taken: no pressure"))
         if event is ZeroEvent.QUESTIONED:
             texts.append(StatusText(WARNING, "depth zero in question: confirm it"))
         if zero.take_rate(reading.yaw_rate_radps) is ZeroEvent.BIAS_TAKEN or event is ZeroEvent.TAKEN:

@@ -61,6 +61,7 @@ class ZeroEvent(Enum):
     TAKEN = 1
     QUESTIONED = 2
     BIAS_TAKEN = 3
+    MISSED = 4
 
 
 class _Purpose(Enum):
@@ -80,6 +81,7 @@ class SensorZero:
         self.gyro_bias_radps = 0.0 if start.zeros is None else start.zeros.gyro_bias_radps
         self.is_restarted = not start.is_power_on
         self.is_in_question = True  # until the pressure is known
+        self._has_pressure = False
         self._purpose, self._pressures = _Purpose.JUDGE, list[float]()
         self._rates: list[float] | None = None  # while the bias is taken
 
@@ -107,7 +109,11 @@ class SensorZero:
         """Take in a pressure. The mean of the first SURFACE_SAMPLES decides once: it becomes the new surface pressure after a
         power-on in air (the gyro's bias is then measured too) and when a person asked for it; after any other start the kept
         surface pressure stays, and is in question where the mean is far from it."""
-        if self._purpose is _Purpose.DONE or not math.isfinite(pressure_hpa):
+        self._has_pressure = math.isfinite(pressure_hpa)
+        if not self._has_pressure and self._purpose is _Purpose.TAKE:
+            self._purpose = _Purpose.DONE
+            return ZeroEvent.MISSED
+        if self._purpose is _Purpose.DONE or not self._has_pressure:
             return ZeroEvent.SAME
         self._pressures.append(pressure_hpa)
         if len(self._pressures) < SURFACE_SAMPLES:
@@ -145,7 +151,10 @@ class SensorZero:
         self._rates = None
 
     def calibrate(self, pressure: bool, gyro: bool) -> bool:
-        """For a person: what is kept is right, or the zeros are taken anew where the robot is. False if nothing is kept."""
+        """For a person: what is kept is right, or the zeros are taken anew where the robot is. False if nothing is kept, or
+        the pressure is not measured now: taken later, it may be that of water."""
+        if pressure and not self._has_pressure:
+            return False
         if gyro:
             self._rates = []
         if pressure:

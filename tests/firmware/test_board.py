@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
-from shoal.mavlink.agent_link import IGNORED, STANDARD_GRAVITY_MPS2
+from shoal.mavlink.agent_link import ACCEPTED, CALIBRATE, IGNORED, REJECTED, STANDARD_GRAVITY_MPS2, AgentLink
 from shoal.mavlink.framing import Sender
+from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing import Key
 from sim_bridge.board_conformance.runner import RuleVerdict
 from sim_bridge.plant.sensors import Reading
@@ -43,7 +44,7 @@ class GivenSensors:
     def draw(self, draw: random.Random) -> None:
         mg = STANDARD_GRAVITY_MPS2 / 1000.0
         acceleration = (draw.randint(-900, 900) * mg, draw.randint(-40_000, 40_000) * mg, -1000 * mg)
-        depth_m = draw.randint(-64, 6400) / 64.0 / HPA_PER_M
+        depth_m = draw.randint(-64, 6400) / 64.0 / HPA_PER_M if draw.random() < 0.97 else math.nan
         self.reading = Reading(draw.randint(-400, 400) / 128.0, draw.randint(-64, 64) / 32.0, acceleration, depth_m)
         self.voltage_v = 12.0 if draw.random() < 0.9 else draw.randint(0, 100) / 8.0 + 0.015625
 
@@ -201,6 +202,67 @@ def test_random_frames_have_the_bytes_of_the_reference(library: ctypes.CDLL) -> 
 def test_many_random_frames_have_the_bytes_of_the_reference(library: ctypes.CDLL) -> None:
     for seed in range(10_000):
         compare(library, seed)
+
+
+class BothBoards:
+    """The C board and the reference, switched on in air, which measure and hear the same and answer with the same bytes."""
+
+    def __init__(self, library: ctypes.CDLL) -> None:
+        self.link, self.reference, self.firmware = AgentLink(1), ThrusterBoard(POOL, 1, 1), FirmwareBoard(library)
+        self._sensors = self.reference.sensors = GivenSensors()  # type: ignore[assignment]
+        self._now_ns = 0
+        self.measure(0.0)
+
+    def say(self, data: bytes) -> None:
+        for board in (self.reference, self.firmware):
+            board.receive(data, self._now_ns)
+        self._step()
+
+    def measure(self, depth_m: float, steps: int = 100) -> None:
+        """Have both boards measure this depth, NaN for none, for so many steps."""
+        reading = self._sensors.reading
+        self._sensors.reading = Reading(reading.heading_rad, reading.yaw_rate_radps, reading.acceleration_mps2, depth_m)
+        for _ in range(steps):
+            self._step()
+
+    @property
+    def last_text(self) -> str:
+        return self.link.telemetry.texts[-1][1]
+
+    def _step(self) -> None:
+        self._now_ns += 5_000_000
+        answer = self.reference.step(self._now_ns, STILL, STILL, STILL)
+        assert self.firmware.step(self._now_ns, self._sensors.reading, self._sensors.voltage_v) == answer
+        self.link.receive(answer, self._now_ns)
+
+
+def test_a_depth_zero_is_taken_of_the_pressure_that_is_measured_when_a_person_asks_for_it_or_not_at_all(
+    library: ctypes.CDLL,
+) -> None:
+    boards, deep_m = BothBoards(library), 256.0 / HPA_PER_M
+    for before_m in (math.nan, 0.0):  # the sensor measures nothing; it stops while the zero is being taken
+        boards.measure(before_m)
+        boards.say(boards.link.calibrate(pressure=True))
+        assert boards.link.telemetry.acknowledged == (CALIBRATE, REJECTED if math.isnan(before_m) else ACCEPTED)
+        boards.measure(math.nan)
+        assert boards.last_text == "depth zero not taken: no pressure"
+        boards.measure(deep_m)  # it measures again, and the robot is in the water by now
+        assert boards.link.telemetry.depth_m == pytest.approx(deep_m, abs=0.01)
+    boards.say(boards.link.calibrate(pressure=True))
+    boards.measure(deep_m)
+    assert boards.link.telemetry.depth_m == pytest.approx(0.0, abs=0.01)
+    assert boards.last_text == "depth zero taken"
+
+
+def test_no_zero_is_taken_in_hil_mode_nor_after_it(library: ctypes.CDLL) -> None:
+    boards, client = BothBoards(library), ParameterClient(1)
+    boards.say(client.set("HIL_MODE", 1.0))
+    boards.say(boards.link.calibrate(pressure=True))
+    assert boards.link.telemetry.acknowledged == (CALIBRATE, REJECTED)
+    assert boards.last_text == "not calibrated: in HIL mode"
+    boards.say(client.set("HIL_MODE", 0.0))
+    boards.measure(256.0 / HPA_PER_M)
+    assert boards.link.telemetry.depth_m == pytest.approx(256.0 / HPA_PER_M, abs=0.01)
 
 
 @pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])

@@ -338,3 +338,19 @@ def test_each_run_has_laps_of_its_own() -> None:
     (again,) = fleet.core.laps.laps()
     flown_s = min(robot.clock.reached_s for robot in fleet.robots.values())
     assert again.time_s == pytest.approx(flown_s, abs=0.15)
+
+
+def test_a_form_can_be_taken_from_a_hold_that_reaches_the_robots_at_the_paths_end() -> None:
+    """A robot flies on until a HOLD reaches it, and its clock beyond the end; no plan begins there."""
+    fleet = SimulatedFleet(an_experiment("go-on", THREE, PLACES, 20))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    while fleet.mission.plans.progress_s < fleet.mission.segment.end_s - 0.1:
+        fleet.step()
+    for robot in fleet.robots.values():
+        robot.radio.delay_ns = 200_000_000
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(4.0)
+    assert all(robot.clock.reached_s > fleet.mission.segment.end_s for robot in fleet.robots.values())
+    assert ask(fleet, CommandKind.FORMATION, "line 0.8") == ""
+    until(fleet, MissionState.DONE, 60.0)

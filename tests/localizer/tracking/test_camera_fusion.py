@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from localizer.detection.blob_tracker import convex_outline
 from localizer.tracking.camera_fusion import (
     CameraFusion,
     CameraView,
@@ -420,10 +421,36 @@ def test_obstacles_of_all_cameras_are_in_one_list_and_one_that_two_see_is_in_it_
     west, east = told((1, 2), square(-1.0, 0.0), square(0.0, 0.3)), told((1, 2), square(0.05, 0.32), square(1.0, 0.0))
     both = fuse_obstacles({"west": west, "east": replace(east, blind="learning")}, ("west", "east"))
     assert both.ids == (2, 4, 5)
-    assert both.outline.mean(axis=1).tolist() == pytest.approx(np.array([[-1.0, 0.0], [0.0, 0.3], [1.0, 0.0]]))
+    assert both.outline[[0, 2]].mean(axis=1) == pytest.approx(np.array([[-1.0, 0.0], [1.0, 0.0]]))
     assert both.watched == pytest.approx(0.8) and both.blind == "camera east: learning"
     alone = fuse_obstacles({"east": east}, ("west", "east"))
     assert alone.ids == (3, 5) and alone.watched == pytest.approx(0.4)
+
+
+def box(west_m: float, east_m: float) -> Array:
+    """The outline of a box 0.2 m wide, as a detector makes it: some of its corners lie on each other but for rounding."""
+    return convex_outline(np.array([[west_m, -0.1], [east_m, -0.1], [east_m, 0.1], [west_m, 0.1]]))
+
+
+@pytest.mark.parametrize(
+    ("west", "east"), [((-0.6, 0.8), (-0.6, 1.4)), ((-1.4, 0.6), (-0.6, 1.4)), ((-0.6, 1.4), (-0.2, 0.9))]
+)
+def test_an_obstacle_that_leaves_one_picture_is_told_as_far_as_any_camera_sees_it(
+    west: tuple[float, float], east: tuple[float, float]
+) -> None:
+    def told(outline: Array, unseen_s: float = 0.0) -> Obstacles:
+        return Obstacles((1,), outline[None], np.zeros((1, 2)), 0.3, 0.8, "", np.array([unseen_s]))
+
+    fused = fuse_obstacles({"west": told(box(*west)), "east": told(box(*east))}, ("west", "east"))
+    assert fused.ids == (2,)
+    assert [fused.outline[0, :, 0].min(), fused.outline[0, :, 0].max()] == pytest.approx(
+        [min(west[0], east[0]), max(west[1], east[1])]
+    )
+    for k in range(2):  # the one remembers it only, from before the light changed
+        ages = [5.0 * (k == 0), 5.0 * (k == 1)]
+        fused = fuse_obstacles({"west": told(box(*west), ages[0]), "east": told(box(*east), ages[1])}, ("west", "east"))
+        assert fused.unseen_s.tolist() == [0.0]
+        assert fused.outline[0] == pytest.approx(box(*(east, west)[k]))
 
 
 def test_an_obstacle_of_a_camera_that_is_out_stays_with_its_age_until_it_is_too_old_or_seen_by_another() -> None:
