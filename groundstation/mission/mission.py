@@ -650,7 +650,7 @@ class Mission:
         return view.state_age_s * 1e9 <= now_ns - self._data.since_ns
 
     def _addressed(self, fleet: Fleet) -> Sequence[int]:
-        """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were until just now."""
+        """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were heard until just now."""
         all_robots = self.roster.all_robots
         if self.state in (MissionState.ABORTING, MissionState.CLEARING):
             return [r for r in all_robots if r not in self.roster.out or fleet[r].heard]

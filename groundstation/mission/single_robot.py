@@ -140,7 +140,7 @@ class SingleRobotControl:
         return task if task is not None and task.progress is Progress.UNDER_WAY else None
 
     def _begin(self, robot: int, task: RobotTask) -> None:
-        """Lead a robot by a new task; the one before it fails. A repetition of the same request is no other one."""
+        """Begin a robot's new task; the task before it fails. A repetition of the same request is not a new one."""
         before = self._under_way(robot)
         if before is not None and before.order is task.order and task.order is not CommandKind.GO:
             return
@@ -181,7 +181,7 @@ class SingleRobotControl:
             return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
         view = fleet[robot]
         if order in WATER:
-            return self._wrong_water(order, robot, view)
+            return self._out_refusal(order, robot, view)
         if robot in mission.roster.out:
             return f"robot {robot} is {TAKEN_OUT} (groundstation mission back-in --robot {robot})"
         if not view.heard:
@@ -203,7 +203,7 @@ class SingleRobotControl:
         foreign = foreign_poses(self._experiment, fleet, (robot,)) if order in LED else ""
         return foreign or (blind_robots(self._experiment, fleet, (robot,)) if order is CommandKind.GO else "")
 
-    def _wrong_water(self, order: CommandKind, robot: int, view: RobotView) -> str:
+    def _out_refusal(self, order: CommandKind, robot: int, view: RobotView) -> str:
         """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
         roster = self._mission.roster
         if (robot in roster.out) is (order is CommandKind.OUT):
@@ -270,10 +270,11 @@ class SingleRobotControl:
             return holds and self._has_flown(task, view) and not self._not_there(robot, task, fleet)
         if task.order is CommandKind.DRIVE and task.velocity is not None:
             return False
-        order = CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order
+        order = CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order  # a drive without a velocity ends in HOLD
         if order is CommandKind.DISARM and not self._dispatchers[robot].has_sent(robot):
-            return False  # it may be disarmed and have an ARM on its way, which this one follows
-        return view.state_age_s * 1e9 < now_ns - task.since_ns and view.mode in CONFIRMS[order]  # however late it came
+            return False  # a robot that is disarmed may still get an ARM that was sent before: DISARM has to follow it
+        sent_since = view.state_age_s * 1e9 < now_ns - task.since_ns
+        return sent_since and view.mode in CONFIRMS[order]
 
     def _advance(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""

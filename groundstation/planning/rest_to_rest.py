@@ -39,7 +39,7 @@ def plan_return(
     lying: Array = NO_OBSTACLES,
 ) -> PlanSegment:
     """Plan the return of the robots in `rests` from their rest poses to their starts. The ways lead around `obstacles`; none
-    may end on what is `lying` there. Raises PlanError."""
+    may end on a place of `lying`. Raises PlanError."""
     goals = {r: starts[r] for r in rests}
     _must_be_free(experiment, rests, goals, lying)
     motions = plan_transfers(experiment, rests, goals, keep_away(experiment, obstacles), out_of_time)
@@ -69,9 +69,11 @@ def plan_regroup(
     on_way = {slots[r]: m for r, m in moves.items()}
     left = round((segment.end_s - progress_s + RAMP_S) / period_s) + planner.horizon(experiment)
     turn = turn_samples(experiment)
-    trajectories = {s: _then_on(t, on_way.get(s), still, turn, progress_s, left) for s, t in segment.trajectories.items()}
+    trajectories = {
+        s: _then_trajectory(t, on_way.get(s), still, turn, progress_s, left) for s, t in segment.trajectories.items()
+    }
     moved = {s: planner.trajectory(m, period_s, begin_s) for s, m in trajectories.items()}
-    centre = planner.trajectory(_then_on(segment.centre, None, still, turn, progress_s, left), period_s, begin_s)
+    centre = planner.trajectory(_then_trajectory(segment.centre, None, still, turn, progress_s, left), period_s, begin_s)
     end_s = begin_s + (still + turn) * period_s + (segment.end_s - progress_s) + 0.5 * RAMP_S
     on_s = begin_s + (still + turn) * period_s
     stood_s = on_s + 0.5 * RAMP_S - progress_s
@@ -92,7 +94,7 @@ def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], aw
     return float(time_s[int(np.argmax(free))])
 
 
-def _then_on(
+def _then_trajectory(
     trajectory: Trajectory, move: NodeMotion | None, still: int, turn: int, progress_s: float, samples: int
 ) -> NodeMotion:
     """A move of `still` samples (None: rest as long), a turn of `turn` samples, then the trajectory from `progress_s` on with

@@ -407,13 +407,13 @@ class Station:
         status of the last call."""
         if self.lock.acquire(timeout=STATUS_WITHIN_S):
             try:
-                self._status = self._stand()
+                self._status = self._status_reply()
             finally:
                 self.lock.release()
         return replace(self._status, beat_age_s=time.monotonic() - self.beat_s)
 
-    def _stand(self) -> Status:
-        """The station's status, as page and terminals are told it."""
+    def _status_reply(self) -> Status:
+        """The station's status, for the page and terminals."""
         mission = self.mission
         return Status(
             state=mission.state,
