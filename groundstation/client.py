@@ -6,10 +6,13 @@ with connect() as bus:
     done, text = verdict(reply, 60.0)
 """
 
+import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +34,9 @@ from shoal.messages.messages import WHOLE_FLEET, Command, CommandKind, Outcome, 
 from shoal.messages.topics import HEARTBEAT, Role, process_name
 from shoal.runtime.cli_options import DEFAULT_FLEET
 
+T = TypeVar("T")
+
+READ_WITHIN_S = 10.0  # for a person's files; a disk that hangs lets nobody know
 ORDER_TIMEOUT_S = 2.0
 ASK_EVERY_S = 0.2
 PATIENCE_S = {
@@ -68,7 +74,8 @@ def _connected(
 ) -> Bus:
     where = through_door(station.endpoint)  # before the keys: whoever may use the door needs none
     if where is None:
-        where = endpoint(station.endpoint, process_name(Role.OPERATOR), keys, insecure=insecure)
+        me = process_name(Role.OPERATOR)
+        where = read_in_time(keys, lambda: endpoint(station.endpoint, me, keys, insecure=insecure))
     return Bus(ZenohTransport(where, stopped, patience_s), fleet)
 
 
@@ -89,9 +96,27 @@ def go_command(places_m: ArrayLike, robot: int = WHOLE_FLEET) -> Command:
     return Command(CommandKind.GO, robot, via=via)
 
 
+def read_in_time(name: object, read: Callable[[], T]) -> T:
+    """The result of `read`, which reads the files of this name. Raises what it raises, and ConfigError where a disk hangs: a
+    program that waits for one hears no Ctrl-C."""
+    outcome = Future[T]()
+
+    def work() -> None:
+        try:
+            outcome.set_result(read())
+        except BaseException as error:
+            outcome.set_exception(error)
+
+    threading.Thread(target=work, name="reading", daemon=True).start()
+    try:
+        return outcome.result(READ_WITHIN_S)
+    except TimeoutError:
+        raise ConfigError(f"{name}: cannot be read within {READ_WITHIN_S:g} s: does its disk answer?") from None
+
+
 def flight_of(name_or_path: str, settings: Sequence[str]) -> Experiment:
     """Another experiment whose path is to be flown: it needs no camera, which is the session's. Raises ConfigError."""
-    return load_experiment(name_or_path, [*settings, NO_CAMERA])
+    return read_in_time(name_or_path, lambda: load_experiment(name_or_path, [*settings, NO_CAMERA]))
 
 
 def path_command(experiment: Experiment) -> Command:

@@ -46,7 +46,8 @@ class FleetTime:
         return min(since_s, max(now_s - received.header.stamp_ns * 1e-9, 0.0))
 
     def limit(self, limit_s: float) -> Callable[[], bool]:
-        """A function that is true once so many seconds have gone by, by the fleet's time and by the wall clock."""
+        """A function that returns True once a number of seconds have gone by, both by the fleet's time and by the wall
+        clock."""
         began_s, simulated_began_s = time.monotonic(), self.simulated_s()
 
         def over() -> bool:

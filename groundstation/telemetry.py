@@ -239,7 +239,8 @@ def _experiment(experiment: Experiment, view: RobotView, state: RobotState) -> I
 
 
 def _pose_senders(experiment: Experiment, view: RobotView, state: RobotState) -> Iterator[Problem]:
-    """Findings by which no robot flies on: its poses may be another robot's, or those of a camera that hangs elsewhere."""
+    """Findings that keep every robot from flying: its poses may be another robot's, or those of a camera that hangs
+    elsewhere."""
     if view.localizer_hash not in ("", experiment.hash):
         text = f"its poses are by another experiment ({view.localizer_hash[:8]}, here {experiment.hash[:8]})"
         yield Problem("localizer", "critical", text, "start the localizer with this run's experiment.toml", blocks_arming=True)

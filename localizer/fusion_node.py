@@ -107,7 +107,8 @@ class FusionNode:
             yield
 
     def _wall_pace(self) -> Iterator[None]:
-        """Whenever a camera has told of a picture, and the others of theirs if they are about to; and after silence."""
+        """Yield when a camera has reported a picture, once the other cameras that are about to report have done so; and after
+        a silence."""
         cameras = self.cameras.values()
         while not self.stop.requested:
             if wait(self._bus, self.stop, lambda: any(camera.is_new for camera in cameras), self._silent_s):
@@ -120,8 +121,8 @@ class FusionNode:
         return all(camera.is_here(now_ns, self._period_s, self._silent_s) for camera in self.cameras.values())
 
     def _fuse(self) -> None:
-        """Take what has come, and publish poses, obstacles and status."""
-        new = [at for name, camera in self.cameras.items() if (at := self._take(name, camera)) is not None]
+        """Fuse the cameras' new messages, and publish poses, obstacles and status."""
+        new = [at for name, camera in self.cameras.items() if (at := self._take_picture(name, camera)) is not None]
         now_ns = self._clock.now_ns()
         new = new or [(now_ns, self._stamps.now_ns(now_ns))]
         self._newest = max(self._newest, *new)  # a late camera's picture is carried on to the others'
@@ -153,7 +154,7 @@ class FusionNode:
         values = sorted((str(getattr(view.status, field)) for view in self._views.values()), reverse=True)
         return next((value for value in values if value != own), own)
 
-    def _take(self, name: str, camera: CameraInboxes) -> tuple[int, int] | None:
+    def _take_picture(self, name: str, camera: CameraInboxes) -> tuple[int, int] | None:
         """Take a camera's newest picture. Returns its instant and stamp, None if there is no new one."""
         camera.status_header = camera.status.newest_header()
         status_ns, _ = self._counts_up_to_ns(name)

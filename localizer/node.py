@@ -207,7 +207,7 @@ class LocalizerNode:
         attitudes: dict[int, Attitude],
         poses: tuple[tuple[int, Pose], ...],
     ) -> None:
-        """Give the recorder a frame, with what was known and what was published."""
+        """Give the recorder a frame, with the inputs for it and the results that were published."""
         if self._outlets.recorder is not None:
             attitude_values = {robot: astuple(attitude) for robot, attitude in attitudes.items()}
             published = {robot: encode(pose) for robot, pose in poses}
@@ -216,7 +216,7 @@ class LocalizerNode:
             )
 
     def _finish(self) -> None:
-        """Do the tracking that no pose waits for. An exception counts like one before the poses; the next status tells it."""
+        """Do the tracking that no pose waits for. The next status reports an exception here, as one before the poses."""
         try:
             self._localizer.finish()
         except Exception as error:

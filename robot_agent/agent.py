@@ -367,7 +367,7 @@ class Agent:
         fresh_robots: tuple[int, ...],
         blind: str,
     ) -> RobotState:
-        """The robot's state as it is told to station and log."""
+        """The robot's state for station and log."""
         board, pose = inputs.board, inputs.pose
         return RobotState(
             mode=self.mode,

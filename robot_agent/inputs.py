@@ -15,8 +15,9 @@ class StampedPose:
 
     @property
     def is_seen(self) -> bool:
-        """True if the localizer saw the robot, and did not only predict where it is."""
-        return self.pose.track >= Track.KCF
+        """True if the localizer saw the robot, and did not only predict where it is. Nor is it seen by a pose with a variance
+        below 0, which a message may hold."""
+        return self.pose.track >= Track.KCF and bool((self.pose.covariance.diagonal() >= 0.0).all())
 
     @property
     def variance_m2(self) -> float:

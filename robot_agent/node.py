@@ -374,7 +374,8 @@ class AgentNode:
             self.link.send(self.mavlink.pulses(outputs.pulse_us))
 
     def _with_measured(self, timing: StepTiming, step_ns: int, sending_ns: int) -> StepTiming:
-        """A step's timing with what only this process measures: the step, the time until pulses were sent, the board link."""
+        """A step's timing with the values that only this process measures: the step, the time until pulses were sent, the
+        board link."""
         telemetry = self.mavlink.telemetry
         return replace(
             timing,

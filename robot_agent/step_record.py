@@ -42,7 +42,7 @@ def record_step(
     return StepInputs(
         step=step,
         late_steps=late_steps,
-        **_seen(clock, pose),
+        **_pose_fields(clock, pose),
         **_station(clock, heartbeat),
         board=board,
         plan_robots=tuple(robots),
@@ -93,7 +93,7 @@ def with_reply(record: CommandTaken, reply: Reply) -> CommandTaken:
     return CommandTaken(**{**vars(record), "reply": reply})
 
 
-def _seen(clock: Clock, pose: Received[Pose] | None) -> dict[str, Any]:
+def _pose_fields(clock: Clock, pose: Received[Pose] | None) -> dict[str, Any]:
     """Fields of the record for a pose."""
     if pose is None:
         return {}

@@ -24,7 +24,7 @@ from groundstation.scripting.runs import FlownRun
 from groundstation.web.run_desk import run_end
 from localizer.calibration.images import read_picture
 from localizer.evaluation.offline import PoseTable
-from localizer.evaluation.runner import read_frame_table, read_idtracker
+from localizer.evaluation.runner import read_frame_table
 from localizer.sources.files import decode_file
 from localizer.sources.recording import FRAMES, recorded_frames
 from localizer.sources.video import VideoReader
@@ -55,7 +55,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "decode_file": ("a.png", decode_file),
     "recorded_frames": (FRAMES, lambda path: list(recorded_frames(path.parent))),
     "frame table": ("a.csv", lambda path: list(read_frame_table(path, load_experiment("pool"), (), ()))),
-    "idTracker's places": ("a.txt", read_idtracker),
     "part of a table": (
         "poses.csv.key.part",
         lambda path: list(PoseTable(path.with_name("poses.csv"), "key").write(iter(()), load_experiment("pool"))),

@@ -18,7 +18,8 @@ PACKAGES = {*PROGRAMS, "shoal", "sim_bridge"}
 SEES = {"shoal": {"shoal"}, "sim_bridge": PACKAGES} | {program: {program, "shoal"} for program in PROGRAMS}
 DOOR = "shoal/__init__.py"  # names functions of other packages for scripts, and loads them only when a script asks
 
-HELPERS_OF_BENCHMARKS = ("tests.flights", "tests.localizer.photoreal")  # flights and pictures that tests judge too
+# Flights, pictures and followed objects that tests judge too
+HELPERS_OF_BENCHMARKS = ("tests.flights", "tests.localizer.photoreal", "tests.localizer.plain_video")
 
 # `shoal` holds what at least two of the three programs need. These stand there all the same, with the reason.
 SHARED_OTHERWISE = {

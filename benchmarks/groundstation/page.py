@@ -27,7 +27,7 @@ from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import LinkMonitor, subscribe_fleet
-from groundstation.web.backend import Status
+from groundstation.web.backend import ALWAYS, Status, Validity
 from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import STATIC, WebServer
 from shoal.bus.bus import Bus
@@ -179,18 +179,17 @@ class _Station:
         via: Sequence[tuple[float, float]] = (),
         only: int = 0,
         text: str = "",
-        until_s: float = math.inf,
-        asked_s: float = math.inf,
+        valid: Validity = ALWAYS,
     ) -> tuple[str, int]:
         return "", 0
 
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError("nothing is planned here")
 
-    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
+    def drive(self, robot: int, velocity: DriveVelocity, valid: Validity = ALWAYS) -> str:
         return ""
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, valid: Validity = ALWAYS) -> tuple[str, int]:
         return "", 0
 
 

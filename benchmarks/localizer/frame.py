@@ -23,8 +23,6 @@ import numpy as np
 from benchmarks.harness import ROOT, Row, run_peer
 from benchmarks.localizer.following import Begin, Picture, Place, Step, Task, follow
 from localizer.detection.obstacles import ObstacleDetector
-from localizer.evaluation.runner import read_idtracker
-from localizer.evaluation.single_object import SingleObjectTracker
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.scene import RobotConfig
@@ -32,6 +30,8 @@ from shoal.frames import Array, wrap
 from shoal.messages.messages import Track
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
+from tests.localizer.plain_video.idtracker import read_idtracker
+from tests.localizer.plain_video.single_object import SingleObjectTracker
 
 FLEETS = (1, 3, 10, 20)
 FRAMES = 120

@@ -27,13 +27,13 @@ def went_all_the_way(series: Series) -> bool:
 def checks(result: Result, series: Series) -> Iterator[Check]:
     """Requirements of every run, and the experiment's limits."""
     errors: dict[str, Errors] = {**{f"robot {k}": r for k, r in result.robots.items()}, **result.pairs}
-    yield from _of_every_run(result, series)
-    yield from _of_errors(errors, series)
-    yield from _of_the_end(series)
-    yield from _of_the_means(result, series)
+    yield from _run_checks(result, series)
+    yield from _error_checks(errors, series)
+    yield from _end_check(series)
+    yield from _mean_checks(result, series)
 
 
-def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
+def _run_checks(result: Result, series: Series) -> Iterator[Check]:
     """Checks that every run has to pass: a whole log, a whole flight, no faults, timely steps, distance, no contact."""
     experiment = series.experiment
     missing = float(result.log_dropped) if result.log_complete else None
@@ -52,10 +52,10 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
         blind = _unknown({f"pair {a}-{b}": series.known_share(series.separation_m(a, b)) for a, b in pairs})
         passed = closest is not None and closest >= allowed and not blind
         yield Check("separation", blind or f"pair {closest_pair}", closest, allowed, passed, "m", at_least=True)
-    yield from _of_contact(series)
+    yield from _contact_check(series)
 
 
-def _of_contact(series: Series) -> Iterator[Check]:
+def _contact_check(series: Series) -> Iterator[Check]:
     """Check that no hull touched a wall, the floor or an island. Against the truth alone: a localizer's poses are some
     centimetres off, and a robot in a real pool may lie at its wall."""
     if series.errors_against != "truth":
@@ -67,7 +67,7 @@ def _of_contact(series: Series) -> Iterator[Check]:
         yield Check(CLEARANCE, f"robot {robot}", least_m[robot], 0.0, least_m[robot] >= 0.0, "m", at_least=True)
 
 
-def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
+def _error_checks(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
     """Checks of the worst robot's or pair's errors against the experiment's limits."""
     limits, settles = series.experiment.limits, settled(series.asked_s)
     blind = _unknown({f"robot {robot}": series.known_share(r.error, ~r.led_away) for robot, r in series.robots.items()})
@@ -89,7 +89,7 @@ def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
         )
 
 
-def _of_the_end(series: Series) -> Iterator[Check]:
+def _end_check(series: Series) -> Iterator[Check]:
     """The check of the distance from each robot's place at the end of its trajectory, if the experiment limits it."""
     limits, name = series.experiment.limits, "from its place at the end"
     if limits.arrived_m is None:
@@ -103,7 +103,7 @@ def _of_the_end(series: Series) -> Iterator[Check]:
     yield _at_most(name, f"robot {farthest}", away_m[farthest], limits.arrived_m, "m")
 
 
-def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
+def _mean_checks(result: Result, series: Series) -> Iterator[Check]:
     """Checks of mean figures: pose errors, thruster wear, latency of the pulses."""
     experiment, limits = series.experiment, series.experiment.limits
     if limits.pose_rms_m is not None:

@@ -98,8 +98,9 @@ class _Recorded:
 
 
 def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Series:
-    """Bring a flight of a log onto one clock: the one of that number, from 1, else the last that was more than the way home.
-    Works for any part of a run, also for one in which nothing ever moved. Raises ConfigError where there is no such flight."""
+    """Bring a flight of a log onto one clock: flight `number`, counted from 1, else the last flight that was more than the way
+    home. Works for any part of a run, also for one in which nothing moved. Raises ConfigError where there is no such
+    flight."""
     has_truth = bool(log.of(topics.TRUTH, Truth))
     flights = _flights(log, experiment.robot_ids)
     number = _chosen(flights, flight)
@@ -148,7 +149,7 @@ def zero_ns(log: RunLog, robots: Sequence[int], flight: int = 0) -> int:
     if not number:
         return _first_stamp_ns(log)
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns)
-    clocks = [_clock(_of_formation(log, robot), window) for robot in robots]
+    clocks = [_clock(_states_with_formation(log, robot), window) for robot in robots]
     return _began_ns([_start_ns(clock_ns, clock_s) for clock_ns, clock_s in clocks if len(clock_s)])
 
 
@@ -158,7 +159,7 @@ def zero_ns(log: RunLog, robots: Sequence[int], flight: int = 0) -> int:
 def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
     one flies any more."""
-    parts = sorted(part for robot in robots for part in _robot_flights(_of_formation(log, robot, begins=True), robot))
+    parts = sorted(part for robot in robots for part in _robot_flights(_states_with_formation(log, robot, begins=True), robot))
     groups: list[list[_RobotFlight]] = []
     for part in parts:
         here = groups[-1] if groups else []
@@ -253,7 +254,7 @@ def _plans(log: RunLog, robot: int) -> FormationPlans:
     return FormationPlans(ids | {""} if ids else None)
 
 
-def _of_formation(log: RunLog, robot: int, begins: bool = False) -> list[DecodedMessage[RobotState]]:
+def _states_with_formation(log: RunLog, robot: int, begins: bool = False) -> list[DecodedMessage[RobotState]]:
     """A robot's states while it is with the formation. With `begins` those too in which it stands at the beginning of the
     formation's next flight after a person led it elsewhere."""
     states, plans = log.of(topics.STATE, RobotState, robot), _plans(log, robot)
@@ -302,7 +303,7 @@ def _gather(log: RunLog, robot: int, has_truth: bool, window: tuple[int, int]) -
     inputs = log.of(topics.INPUTS, StepInputs, robot)
     poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
     plans = _plans(log, robot)
-    counted = _of_formation(log, robot)
+    counted = _states_with_formation(log, robot)
     messages = [e.message for e in counted if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
     named = [m.trajectory_id for m in messages if m.mode is Mode.TRACKING]
     recorded = [e.message for e in log.of(topics.TRAJECTORY, Trajectory, robot)]
@@ -551,8 +552,8 @@ def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> t
 
 
 def _standstills(source: str, entries: Sequence[DecodedMessage[Any]], start_ns: int) -> Iterator[TimelineEvent]:
-    """Times at which a process that says something every period did nothing at all: the next number, long after. Of messages
-    that were lost the numbers are missing."""
+    """Times at which a process that publishes in every period did nothing: its next number comes long after the last one. A
+    gap in the numbers is no standstill: there messages were lost."""
     for before, after in pairwise(entries):
         still_s = (after.stamp_ns - before.stamp_ns) * 1e-9
         if after.sequence == before.sequence + 1 and still_s > STOOD_STILL_S:

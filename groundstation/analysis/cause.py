@@ -66,23 +66,24 @@ def cause(result: Result, series: Series) -> Cause | None:
     if act is None:
         lasting = [fault for fault in noticed if not _healed(fault, series)]
     else:
-        lasting = [fault for fault in noticed if _explains(fault, act, series)]
+        lasting = [fault for fault in noticed if _lasted_until(fault, act, series)]
     if lasting:
-        return _of_fault(lasting[0], result, series)
+        return _fault_as_cause(lasting[0], result, series)
     if act is not None:
         led = LED.match(act.text)
-        return _cause(act, PERSON, f"led {led[1]} alone" if led else ACTS[act.text], result, series)
-    ended = _ended_by(series)
+        return _event_cause(act, PERSON, f"led {led[1]} alone" if led else ACTS[act.text], result, series)
+    ended = _stations_reason(series)
     if ended is not None:
-        return _cause(ended, ended.source, ended.text.removeprefix("mission: "), result, series)
+        return _event_cause(ended, ended.source, ended.text.removeprefix("mission: "), result, series)
     if result.log_trouble:
-        return _over_all(result.log_trouble, result, series)
+        return _whole_run_cause(result.log_trouble, result, series)
     if not series.started:
-        return _over_all("no robot was ever under way", result, series)
+        return _whole_run_cause("no robot was ever under way", result, series)
     unmet = [check for check in result.checks if check.failed and check.name != FAULTS]
     if not unmet:  # nothing but holds that healed
-        return _cause(noticed[0], noticed[0].source, noticed[0].text, result, series, _injected_before(noticed[0], series))
-    return _over_all(missed(max(unmet, key=_excess)), result, series, "; ".join(_injected(series)))
+        first = noticed[0]
+        return _event_cause(first, first.source, first.text, result, series, _injected_before(first, series))
+    return _whole_run_cause(missed(max(unmet, key=_excess)), result, series, "; ".join(_injected(series)))
 
 
 def verdict(result: Result, series: Series) -> str:
@@ -94,9 +95,11 @@ def verdict(result: Result, series: Series) -> str:
     return NOT_JUDGED if by_person or nothing else FAILED
 
 
-def _cause(event: TimelineEvent, noticed_by: str, text: str, result: Result, series: Series, injected: str = "") -> Cause:
-    """A cause with its time and place."""
-    place = _place(event, series)
+def _event_cause(
+    event: TimelineEvent, noticed_by: str, text: str, result: Result, series: Series, injected: str = ""
+) -> Cause:
+    """An event as the cause, with its time and place."""
+    place = _place_text(event, series)
     where = f", {place}" if place else ""
     sentence = (
         f"A person {text} at {event.time_s:.1f} s{where}."
@@ -107,22 +110,22 @@ def _cause(event: TimelineEvent, noticed_by: str, text: str, result: Result, ser
     return Cause(text, event.time_s, noticed_by, injected, outcome, place, sentence)
 
 
-def _of_fault(fault: TimelineEvent, result: Result, series: Series) -> Cause:
-    """A fault as the cause: or the processes that stood still before it, of which it is what others noticed."""
+def _fault_as_cause(fault: TimelineEvent, result: Result, series: Series) -> Cause:
+    """A fault as the cause. Where processes had stood still, they are the cause, and the fault is what the others noticed."""
     injected, standstills = _injected_before(fault, series), _standstills_before(fault, series)
     if not standstills:
-        return _cause(fault, fault.source, fault.text, result, series, injected)
+        return _event_cause(fault, fault.source, fault.text, result, series, injected)
     sources = ", ".join(event.source for event in standstills)
     text = f"{standstills[0].text} ({fault.source}: {fault.text})"
-    return _cause(standstills[0], sources, text, result, series, injected)
+    return _event_cause(standstills[0], sources, text, result, series, injected)
 
 
-def _over_all(text: str, result: Result, series: Series, injected: str = "") -> Cause:
+def _whole_run_cause(text: str, result: Result, series: Series, injected: str = "") -> Cause:
     """A cause that only the whole run shows."""
     return Cause(text, None, "the report", injected, _outcome(result, series), "", f"the report: {text}")
 
 
-def _place(event: TimelineEvent, series: Series) -> str:
+def _place_text(event: TimelineEvent, series: Series) -> str:
     """Place of the robot that an event is about; of another event the middle of the fleet. Empty where none is known."""
     own = {f"robot {number}": robot for number, robot in series.robots.items()}
     robots = [own[event.source]] if event.source in own else list(own.values())
@@ -137,8 +140,8 @@ def _place(event: TimelineEvent, series: Series) -> str:
 
 
 def _persons_act(series: Series) -> TimelineEvent | None:
-    """The first request of a person that ended the flight; of one that came to its end, that by which a robot left it. None
-    for a flight that went all its way."""
+    """The first request by which a person ended the flight. Of a flight that came to its end, the first request by which a
+    robot left it; None for a flight that went all its way."""
     if series.started and went_all_the_way(series):
         return None
     begin_s, until_s = (0.0, series.ended_s) if series.started else (-math.inf, math.inf)
@@ -148,10 +151,10 @@ def _persons_act(series: Series) -> TimelineEvent | None:
     return next((e for e in reports if e.text in ACTS and e.time_s < done_s), None) or next(iter(leads), None)
 
 
-def _explains(fault: TimelineEvent, act: TimelineEvent, series: Series) -> bool:
+def _lasted_until(fault: TimelineEvent, act: TimelineEvent, series: Series) -> bool:
     """True for a fault that lasted when a person ended the flight: of a robot's mode, or the end of the mission."""
     over = fault.source == "groundstation" and fault.text.startswith(OVER)
-    return (over or _of_a_mode(fault)) and fault.time_s < act.time_s and not _healed(fault, series, act.time_s)
+    return (over or _is_about_mode(fault)) and fault.time_s < act.time_s and not _healed(fault, series, act.time_s)
 
 
 def _standstills_before(fault: TimelineEvent, series: Series) -> list[TimelineEvent]:
@@ -161,14 +164,15 @@ def _standstills_before(fault: TimelineEvent, series: Series) -> list[TimelineEv
     return [event for event in still if event.time_s - BEFORE_S <= fault.time_s <= event.last_s + WAKES_S]
 
 
-def _of_a_mode(fault: TimelineEvent) -> bool:
+def _is_about_mode(fault: TimelineEvent) -> bool:
+    """True for a fault by which a robot left the mode in which it flies."""
     return fault.source.startswith("robot ") and fault.text.partition(": ")[0] in STANDING
 
 
 def _healed(fault: TimelineEvent, series: Series, until_s: float = math.inf) -> bool:
     """True if the robot stood with a fault for a while, and had gone on without one by `until_s`."""
     robot = {f"robot {number}": robot for number, robot in series.robots.items()}.get(fault.source)
-    if robot is None or not _of_a_mode(fault):
+    if robot is None or not _is_about_mode(fault):
         return False
     states = robot.states
     since = (states.time_s > fault.time_s) & (states.time_s <= min(until_s, series.ended_s))
@@ -191,6 +195,7 @@ def _injected(series: Series, until_s: float = math.inf) -> list[str]:
 
 
 def _outcome(result: Result, series: Series) -> str:
+    """The time flown, and the number of requirements that were not met, in words."""
     unmet = sum(check.failed for check in result.checks)
     return f"{_flown(series)}, {unmet} of {len(result.checks)} requirements not met" if series.started else _flown(series)
 
@@ -199,9 +204,9 @@ def _flown(series: Series) -> str:
     return f"{series.flown_s:.1f} s of {series.asked_s:g} s flown" if series.started else "nothing was flown"
 
 
-def _ended_by(series: Series) -> TimelineEvent | None:
-    """The station's word for the end of a flight that did not go all the way, if it gave a reason: that the program was told
-    to end, or the first of the reasons since the flight last went on."""
+def _stations_reason(series: Series) -> TimelineEvent | None:
+    """The station's line that gives a reason for the end of a flight that did not go all the way: that another program ended
+    the station, or the first reason since the flight last went on. None without a reason."""
     if not series.started or went_all_the_way(series):
         return None
     reports = [e for e in series.timeline_events if e.source == "groundstation" and 0.0 < e.time_s <= series.ended_s]

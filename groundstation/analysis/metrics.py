@@ -50,7 +50,9 @@ UNARMED = frozenset({Mode.DISARMED, Mode.STOPPED, Mode.FAULT})
 def evaluate(series: Series, log: RunLog) -> Result:
     """The figures of a run. Works for any part of one; what is missing is None and said in `notes`."""
     experiment, each = series.experiment, series.robots.values()
-    robots = {str(robot): dataclasses.replace(_robot(series, robot), end=_end(log, robot)) for robot in experiment.robot_ids}
+    robots = {
+        str(robot): dataclasses.replace(_robot(series, robot), end=_last_state(log, robot)) for robot in experiment.robot_ids
+    }
     pairs = {f"{a}-{b}": _pair(series, a, b) for a, b in combinations(experiment.robot_ids, 2)}
     flying = [r.states.tracking & _within(r.states.time_s, series) for r in each]
 
@@ -94,7 +96,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
         notes=tuple(_notes(series, log)),
         checks=(),
         latency_hops_ms=_hops(each, flying),
-        at_limit=_at_limit(series, flying),
+        at_limit=_shares_at_limits(series, flying),
         slack_m=_most(slack_m),
         board_loss=_most(board_loss),
         messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
@@ -169,7 +171,7 @@ def _robot(series: Series, robot: int) -> RobotResult:
     )
 
 
-def _end(log: RunLog, robot: int) -> RobotEnd:
+def _last_state(log: RunLog, robot: int) -> RobotEnd:
     """State of a robot at the last message of the log. A robot that is not heard then may have come to rest since, or not."""
     states = log.of(topics.STATE, RobotState, robot)
     truths, beats = log.of(topics.TRUTH, Truth), log.of(topics.HEARTBEAT, StationHeartbeat)
@@ -247,7 +249,7 @@ def _hops(robots: Iterable[RobotSeries], flying: Sequence[Mask]) -> dict[str, Qu
     return {name: _quantiles(complete[:, k]) for k, name in enumerate(HOPS)} if len(complete) else {}
 
 
-def _at_limit(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
+def _shares_at_limits(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
     """For each limit of the controller the share of steps at it, of the robot with the largest share."""
     largest: dict[str, float] = {}
     for robot, rows in zip(series.robots.values(), flying, strict=True):
@@ -335,7 +337,7 @@ def _notes(series: Series, log: RunLog) -> Iterator[str]:
     """Notes to read before the figures; trouble with the log comes first."""
     if log.trouble:
         yield log.trouble
-    yield from _of_the_flight(series)
+    yield from _flight_notes(series)
     if series.started and series.errors_against is None:
         yield "Neither truth nor poses were recorded: there are no errors."
     if series.errors_against == "localizer":
@@ -349,7 +351,7 @@ def _notes(series: Series, log: RunLog) -> Iterator[str]:
         yield f"{log.undecodable} recorded messages could not be decoded: they are damaged, or of another version."
 
 
-def _of_the_flight(series: Series) -> Iterator[str]:
+def _flight_notes(series: Series) -> Iterator[str]:
     """Sentences about a flight that is incomplete, or not the only one of its log."""
     planned_s = series.planned_s
     if len(series.flights) > 1:
@@ -357,7 +359,7 @@ def _of_the_flight(series: Series) -> Iterator[str]:
             f"The log holds {len(series.flights)} flights. This is a report of number {series.flight} alone; "
             "`groundstation log report RUN --flight N` makes one of another."
         )
-    if in_vain := _asked_in_vain(series):
+    if in_vain := _failed_start_note(series):
         yield in_vain
     if not series.started:
         yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
@@ -369,8 +371,8 @@ def _of_the_flight(series: Series) -> Iterator[str]:
         yield f"The path was over after {series.asked_s:.1f} s, before the {planned_s:g} s of the experiment."
 
 
-def _asked_in_vain(series: Series) -> str:
-    """Sentence about a start after the last flight, by which nobody flew; empty if there was none."""
+def _failed_start_note(series: Series) -> str:
+    """Sentence about a request to start after the last flight that started no flight; empty if there was none."""
     over_s = max(((flight.over_ns - series.start_ns) * 1e-9 for flight in series.flights), default=math.inf)
     reports = [e for e in series.timeline_events if e.source == "groundstation" and e.last_s > over_s]
     at_s = max((e.last_s for e in reports if e.text == STARTED), default=None)

@@ -31,8 +31,8 @@ Numbers = float | Array | Sequence[int] | None
 
 
 def rows_of(parts: Sequence[P | None], value: Callable[[P], Numbers], empty: P, width: int) -> Array:
-    """A value of each part as rows (m,) or (m, k) of one width, at least `width`; NaN where there is no part, and behind
-    shorter ones. `empty` is such a part, which says what the value looks like."""
+    """One value of each part as rows (m,) or (m, k) of one width, at least `width`. NaN where a part is None, and behind
+    shorter values. `empty` is a part without content, which gives the value's type."""
     values = [None if part is None else np.asarray(value(part), dtype=np.float64) for part in parts]  # None becomes NaN
     shapes = [np.shape(np.asarray(value(empty), dtype=np.float64)), *(row.shape for row in values if row is not None)]
     if shapes[0] == ():

@@ -14,7 +14,7 @@ AT_ONCE = 1_000_000  # numbers that are drawn at a time: 16 MB
 
 
 def three(value: float | None, factor: float = 1.0) -> str:
-    """Three significant digits of value times factor, never in powers of ten; a dash for what is not known."""
+    """Value times factor with three significant digits, never in powers of ten; a dash for an unknown value."""
     if value is None or not math.isfinite(value):
         return NOTHING
     scaled = value * factor

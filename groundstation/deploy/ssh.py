@@ -105,7 +105,7 @@ def deploy_one(target: Target, request: DeployRequest) -> TargetResult:
     home = shlex.quote(request.home)
     script = manifest.PROBE.format(home=home, ports=PORTS_BY_ID, device=shlex.quote(_device(request.link) or "/nowhere"))
     probe = manifest.read_probe(target.host, _ssh(request, target, ARMED.read_text(encoding="utf-8") + script, b"", ANSWER_S))
-    result = _brought(target, request, probe, home)
+    result = _bring_missing(target, request, probe, home)
     return replace(result, note=_note_of(_device(request.link), probe))
 
 
@@ -121,7 +121,7 @@ def _note_of(device: str, probe: Probe) -> str:
     return "" if not device else number_in_name(device, names) if probe.has_device else missing_port(device, names)
 
 
-def _brought(target: Target, request: DeployRequest, probe: Probe, home: str) -> TargetResult:
+def _bring_missing(target: Target, request: DeployRequest, probe: Probe, home: str) -> TargetResult:
     """Bring what is not on a board yet."""
     parts = _parts(target, request, probe)
     digests = {part: manifest.digest(files) for part, files in parts.items()}

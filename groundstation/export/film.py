@@ -132,7 +132,7 @@ class Overlay:
         self._began_ns, self._mission = 0, ""
 
     def hear(self, robot: int, message: RobotState | StationHeartbeat, shift_ns: int) -> None:
-        """Take in what a robot or the station said, whose clock is behind the pictures' by `shift_ns`."""
+        """Take in a message of a robot or the station, whose clock is behind the pictures' by `shift_ns`."""
         if isinstance(message, StationHeartbeat):
             self._began_ns = message.began_ns + shift_ns if message.began_ns else self._began_ns
             self._mission = message.mission

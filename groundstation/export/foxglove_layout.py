@@ -38,15 +38,19 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
             "layers": {},
         },
         **pictures,
-        "Plot!error": _plot("distance from the reference [m]", _each(experiment, fleet, topics.PLAN, ".tracking_error_m")),
+        "Plot!error": _plot(
+            "distance from the reference [m]", _plotted_values(experiment, fleet, topics.PLAN, ".tracking_error_m")
+        ),
         "Plot!wrench": _plot(
             "surge [N], yaw [N m]",
             [
-                *_each(experiment, fleet, topics.STATE, ".control.wrench[0]"),
-                *_each(experiment, fleet, topics.STATE, ".control.wrench[2]"),
+                *_plotted_values(experiment, fleet, topics.STATE, ".control.wrench[0]"),
+                *_plotted_values(experiment, fleet, topics.STATE, ".control.wrench[2]"),
             ],
         ),
-        "Plot!timing": _plot("exposure to PWM [ms]", _each(experiment, fleet, topics.STATE, ".timing.exposure_to_pwm_ms")),
+        "Plot!timing": _plot(
+            "exposure to PWM [ms]", _plotted_values(experiment, fleet, topics.STATE, ".timing.exposure_to_pwm_ms")
+        ),
         "StateTransitions!mode": {
             "paths": [
                 {
@@ -84,7 +88,7 @@ def _pictures(experiment: Experiment, fleet: str) -> Layout:
     }
 
 
-def _each(experiment: Experiment, fleet: str, topic: topics.Topic, path: str) -> list[Layout]:
+def _plotted_values(experiment: Experiment, fleet: str, topic: topics.Topic, path: str) -> list[Layout]:
     """A value of one topic as a plot has it: a line for each robot, in its colour."""
     return [
         {

@@ -47,12 +47,12 @@ class ViewerServer:
         self.port: int = self._server.port
         of_cameras = (topic.of_camera("*") for topic in SHOWN if topic in topics.OF_CAMERAS)
         for topic in (*SHOWN, *(of_cameras if experiment.cameras else ())):
-            bus.subscribe(topic, None, self._hear)
+            bus.subscribe(topic, None, self._keep_newest)
         self._standing_s = 0.0  # when what stands still was drawn last, monotonic
         self._drawer = threading.Thread(target=self._draw_until_closed, name="viewer", daemon=True)
         self._drawer.start()
 
-    def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+    def _keep_newest(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
         """Keep the newest bytes of a topic. Called by a network thread, so nothing is decoded here."""
         now_ns = max(self._clock.arrival_ns(header.stamp_ns), 0)
         self._channel(key, protobuf_class(topic.type)).log(payload, log_time=now_ns)

@@ -77,7 +77,7 @@ class SceneDrawer:
             self.replanned = True
 
     def moving(self, stamp_ns: int) -> SceneUpdate:
-        """Robots, their horizons, the truth behind them, obstacles; without what has not been heard of lately."""
+        """Robots, their horizons, the truth behind them, obstacles; without those whose last message is old."""
         scene, radius_m = SceneUpdate(), self._experiment.vehicle.radius_m
         for index, robot in enumerate(self._experiment.robot_ids):
             paint = _colour(colour(index), FULL)

@@ -140,7 +140,7 @@ class _Zero:
 
 def _zero(log: Path) -> tuple[_Zero, str]:
     """Time 0, and what is wrong with the log as a whole. Raises ConfigError for an empty one."""
-    states, file = read_log(log, CLOCKS, _clock_of), log.parent / "experiment.toml"
+    states, file = read_log(log, CLOCKS, _clock_part), log.parent / "experiment.toml"
     if not states.messages:
         raise ConfigError(f"{log}: holds no messages")
     robots = load_experiment(str(file)).robot_ids if file.exists() else ()
@@ -154,7 +154,7 @@ def _reported(run: Path) -> int:
     return flight if isinstance(flight, int) else 0
 
 
-def _clock_of(message: Any) -> Any:
+def _clock_part(message: Any) -> Any:
     """The part of a message that time 0 is counted from: a log of hours does not fit into memory as a whole."""
     if isinstance(message, messages.RobotState):
         return clock_reading(message)
@@ -188,7 +188,7 @@ def columns(cls: type, prefix: str = "") -> list[TableColumn]:
     hints = get_type_hints(cls)
     for f in dataclasses.fields(cls):
         if f.name != filled_by or not listed:
-            entries += _of_field(cls, f.name, hints[f.name], f.metadata.get("shape"), prefix, bool(listed))
+            entries += _field_columns(cls, f.name, hints[f.name], f.metadata.get("shape"), prefix, bool(listed))
     return entries
 
 
@@ -200,7 +200,7 @@ def rows(message: Any) -> int:
     return max([1, *(len(value) for value in lists if isinstance(value, np.ndarray | tuple))])
 
 
-def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: bool) -> list[TableColumn]:
+def _field_columns(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: bool) -> list[TableColumn]:
     """Columns of a message's field: one for a value, one for each number of an array."""
     label = labels(cls).get(name)
     names = label.columns if label is not None and label.parts else None
@@ -217,7 +217,7 @@ def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: 
     if shape is not None:
         if names is None:
             names = tuple(f"{name}_{k}" for k in range(int(np.prod([n for n in shape if n != -1]))))
-        return [TableColumn(prefix + part, float, _number(name, k, -1 in shape)) for k, part in enumerate(names)]
+        return [TableColumn(prefix + part, float, _cell_reader(name, k, -1 in shape)) for k, part in enumerate(names)]
     if names is not None:
         return [TableColumn(prefix + part, int, _entry(name, k)) for k, part in enumerate(names)]
     if get_origin(hint) is tuple:
@@ -235,7 +235,7 @@ def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: 
     return [TableColumn(column, kind if kind in (float, int, bool) else str, of_value(lambda value: value))]
 
 
-def _number(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:
+def _cell_reader(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:
     """The function that reads number `k` of an array field as a cell, of a row of the array or of all of it."""
 
     def cell(message: Any, row: int) -> Any:

@@ -279,18 +279,18 @@ class Admission:
             moved = False
             for name, origin in list(self._crowd.items()):
                 lane = KNOWN if name in self._proven_origins else NEW
-                if origin.ready and self._may_try(origin, self._lanes[lane], now_s):
-                    yield self._try(next(iter(origin.ready)), lane, now_s), lane
+                if origin.ready and self._may_begin_handshake(origin, self._lanes[lane], now_s):
+                    yield self._begin_handshake(next(iter(origin.ready)), lane, now_s), lane
                     moved = True
 
-    def _may_try(self, origin: Origin, lane: Lane, now_s: float) -> bool:
+    def _may_begin_handshake(self, origin: Origin, lane: Lane, now_s: float) -> bool:
         """True if another connection of this address may begin its handshake with the router: room in lane and address, and a
         token of each."""
         room = lane.trying < MOST_TRYING and origin.trying < MOST_TRYING_EACH
         room = room and origin.links < MOST_LINKS_EACH and len(self._tries) < self._most_links
         return room and lane.tokens.left(now_s) >= 1.0 and origin.tokens.left(now_s) >= 1.0
 
-    def _try(self, connection: int, lane: int, now_s: float) -> int:
+    def _begin_handshake(self, connection: int, lane: int, now_s: float) -> int:
         """Begin a handshake on a free lane."""
         name = self._leave(connection)
         if name in self._crowd:

@@ -91,7 +91,8 @@ class Gate:
             )
 
     def _watch_guard(self) -> None:
-        """Tell of whom the guard refused. One that ends is started again: without it no member is connected."""
+        """Report the connections that the guard refused, and start the guard again if it ended: without it no member is
+        connected."""
         while not self._closed:
             guard = self._guard
             if guard is not None:

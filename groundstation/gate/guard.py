@@ -179,7 +179,7 @@ class Guard:
             if time.monotonic() >= self._listens_s:
                 self._listen_again()
             if self._look_s != float("inf") and time.monotonic() >= self._look_s:
-                self._look()
+                self._serve_deadlines()
 
     def close(self) -> None:
         """Close every connection."""
@@ -252,7 +252,7 @@ class Guard:
             self._refuse(number, self._waited(number))
         self._look_s = 0.0
 
-    def _look(self) -> None:
+    def _serve_deadlines(self) -> None:
         """Close what is overdue, pass on whose turn it is, tell whom was refused."""
         now_s = time.monotonic()
         for number in self._admission.overdue(now_s):
@@ -263,7 +263,7 @@ class Guard:
         for number in [number for number, link in self._links.items() if link.until_s <= now_s]:
             self._drop(number)
         for number, lane in self._admission.turns(now_s):
-            self._pass_on(number, lane)
+            self._connect_to_router(number, lane)
         for sentence in self._refusals.due_sentences(now_s):
             self._tell(sentence)
         ends_s = min((link.until_s for link in self._links.values()), default=float("inf"))
@@ -289,7 +289,7 @@ class Guard:
 
     # --- connections to the router
 
-    def _pass_on(self, number: int, lane: int) -> None:
+    def _connect_to_router(self, number: int, lane: int) -> None:
         """Connect a peer that was admitted to the router, by the inner port of its lane."""
         peer, _ = self._peers[number]
         self._want(peer, 0, self._ignore)
@@ -305,7 +305,8 @@ class Guard:
         self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
 
     def _from_router(self, link: ProxiedConnection, events: int) -> None:
-        """Act on events of the router's socket of one connection: carry bytes, judge the peer, drop what has ended."""
+        """Act on events of a connection's socket to the router: carry bytes, judge the peer, drop the connection if it has
+        ended."""
         if link.number not in self._links:
             return
         try:
@@ -324,7 +325,7 @@ class Guard:
             link.by_router = link.by_router or (error.which is link.down.source and not link.up.ended)
             self._drop(link.number)
             return
-        self._go_on(link)
+        self._choose_events(link)
 
     def _from_peer(self, link: ProxiedConnection, events: int) -> None:
         """Pass on bytes of a connection that its peer can send or take."""
@@ -341,7 +342,7 @@ class Guard:
         except PeerClosed:
             self._drop(link.number)
             return
-        self._go_on(link)
+        self._choose_events(link)
 
     def _judge(self, link: ProxiedConnection) -> None:
         if link.claimed_at is not None and link.down.passed - link.claimed_at >= ANSWER_BYTES:
@@ -349,7 +350,7 @@ class Guard:
             self._admission.proven(link.number, time.monotonic())
             self._look_s = 0.0
 
-    def _go_on(self, link: ProxiedConnection) -> None:
+    def _choose_events(self, link: ProxiedConnection) -> None:
         """Choose for which events both sockets are watched next. End a link that the router has ended, also when its peer is
         frozen or gone and keeps its end open."""
         up, down = link.up, link.down

@@ -38,7 +38,8 @@ class _Server(ThreadingUnixStreamServer):
         super().__init__(os.fspath(path), _Handler)
 
     def get_request(self) -> tuple[Any, Any]:
-        """Accept a terminal. Where there is nothing to accept it with, it waits, and so does the loop that would spin."""
+        """Accept a terminal's connection. Without a free file descriptor the terminal stays in the queue, and the loop rests:
+        it would be called again at once, for ever."""
         try:
             return super().get_request()
         except OSError as error:
@@ -53,13 +54,13 @@ class _Handler(StreamRequestHandler):
 
     def handle(self) -> None:
         with contextlib.suppress(OSError, EOFError, ValueError):  # the terminal's trouble, which notices that nobody answers
-            key, payload, header = _read(self.rfile.read, REQUEST)
+            key, payload, header = _read_request(self.rfile.read, REQUEST)
             reply = self.server.answer(key.decode(), payload, header)
             if reply is not None:
                 self.wfile.write(REPLY.pack(len(reply)) + reply)
 
 
-def _read(read: Callable[[int], bytes], head: struct.Struct) -> list[bytes]:
+def _read_request(read: Callable[[int], bytes], head: struct.Struct) -> list[bytes]:
     """Read a head and the parts whose lengths it has. Raises EOFError, or ValueError for lengths that none can have."""
     sizes = head.unpack(_whole(read, head.size))
     if sum(sizes) > MOST_BYTES:
@@ -108,7 +109,7 @@ class DoorTransport:
                 return None
             with connection, contextlib.suppress(OSError, EOFError, ValueError), connection.makefile("rb") as file:
                 connection.settimeout(max(deadline_s - time.monotonic(), TRY_AGAIN_S))
-                return _read(file.read, REPLY)[0]
+                return _read_request(file.read, REPLY)[0]
             time.sleep(TRY_AGAIN_S)  # the door has closed without a reply: the station is about to serve, or to end
             return None
 

@@ -125,7 +125,7 @@ def _parse(opcode: int, body: bytes) -> McapRecord:
 
 
 def key_topic(key: str) -> tuple[Topic, int] | None:
-    """Topic and robot (0: it has none) of a recorded key; None for what is none of ours."""
+    """Topic and robot of a recorded key, robot 0 where the topic has none; None for a key that is not ours."""
     for pattern, topic in _PATTERNS:
         match = pattern.fullmatch(key)
         if match:
@@ -210,8 +210,8 @@ class LogFile:
         self.end_ns = max(place.end_ns for place in self._places)
 
     def _index(self, places: list[_Place]) -> None:
-        """Find the places of all chunks, and fill `_channels` with what stands outside of them: a closed file repeats its
-        channels behind its chunks. Raises Damaged."""
+        """Find the places of all chunks, and fill `_channels` with the channels declared outside of them: a closed file
+        repeats its channels behind its chunks. Raises Damaged."""
         file_bytes = self._file.seek(0, os.SEEK_END)
         allowed, at, opcode = Allowance(file_bytes), len(MAGIC), 0
         while opcode != FOOTER:
@@ -236,13 +236,13 @@ class LogFile:
     def _look_through(self, place: _Place) -> None:
         """Note the channels that a chunk declares, and those of its messages, up to where it is damaged."""
         with suppress(Damaged):
-            for part, body in self._parts(place):
+            for part, body in self._chunk_records(place):
                 if part == CHANNEL:
                     self._channels.take(_parse(CHANNEL, body))
                 elif part == MESSAGE and (number := _message(body).channel_id) in self._channels:
                     place.channels.add(number)
 
-    def _parts(self, place: _Place) -> Iterator[tuple[int, bytes]]:
+    def _chunk_records(self, place: _Place) -> Iterator[tuple[int, bytes]]:
         """The records of a chunk. Raises Damaged."""
         self._file.seek(place.at + 9)
         chunk = log_records.chunk(self._file.read(place.length), place.at)
@@ -272,7 +272,7 @@ class LogFile:
     def _chunk(self, place: _Place, channels: set[int]) -> Iterator[LogMessage]:
         """Messages of some channels from one chunk of the file."""
         try:
-            for opcode, body in self._parts(place):
+            for opcode, body in self._chunk_records(place):
                 record = _message(body) if opcode == MESSAGE else None
                 if record is not None and record.channel_id in channels:
                     line = self._channels.take(record)

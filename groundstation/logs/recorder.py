@@ -180,7 +180,7 @@ class Recorder:
             with suppress(OSError):  # nothing is in it, and it would keep the next run out of the folder
                 path.unlink()
             raise OSError(error.errno, error.strerror, str(path)) from None
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread = threading.Thread(target=self._write_until_closed, name="recorder", daemon=True)
         self._thread.start()
 
     @property
@@ -201,8 +201,8 @@ class Recorder:
         return self._dropped
 
     def put(self, topic: Topic, key: str, header: Header, payload: bytes, log_time_ns: int) -> None:
-        """Record a message that arrived at `log_time_ns`. Returns at once; counts what it must drop. After `close` the run
-        is over, and what still arrives is no part of it."""
+        """Record a message that arrived at `log_time_ns`. Returns at once, and counts the message if it has to be dropped.
+        Messages after `close` are not recorded."""
         with self._lock:
             if self._closing.is_set() or (self._no_pictures and topic.qos is Qos.IMAGE):
                 return
@@ -232,8 +232,7 @@ class Recorder:
             raise
 
     def close(self) -> None:
-        """Fetch what has come, write what is pending and the file's index. Idempotent; does not raise for a failing disk,
-        see `error`."""
+        """Write the pending messages and the file's index. May be called again; a failing disk raises nothing, see `error`."""
         self._gathered.set()
         if self._gatherer is not None:
             self._gatherer.join(JOIN_S)
@@ -244,11 +243,11 @@ class Recorder:
         else:
             self._finish_file(self._output.close)
 
-    def _run(self) -> None:
+    def _write_until_closed(self) -> None:
         """Write what is pending, in a thread, until closed; then end the file. An error ends the log, and is told."""
         try:
             while not self._closing.wait(FLUSH_PERIOD_S):
-                self._look_at_disk()
+                self._end_pictures_on_full_disk()
                 self._write_pending()
                 self._flush()
             self._write_pending()
@@ -265,8 +264,9 @@ class Recorder:
         else:
             self._finish_file(self._output.close)
 
-    def _look_at_disk(self) -> None:
-        """Pictures given up stay so: a video that comes and goes with the last megabyte is of no use."""
+    def _end_pictures_on_full_disk(self) -> None:
+        """Stop to record pictures, for good, when the disk is nearly full: a video that comes and goes with the last megabyte
+        is of no use."""
         if self._no_pictures or not self._stop_pictures_below:
             return
         free = self._free_bytes(self._folder)
@@ -275,7 +275,8 @@ class Recorder:
             self._warning = f"pictures are not recorded any longer: {free / 1e9:.2f} GB are free on the log's disk"
 
     def _write_pending(self) -> None:
-        """Write the messages that wait, but for those of robots that are later than what is whole."""
+        """Write the pending messages, without those of robots stamped later than `whole_until_ns`: others may still come
+        before them."""
         with self._lock:
             until_ns = math.inf if self.whole_until_ns is None else self.whole_until_ns
             batch, later = list[_PendingMessage](), list[_PendingMessage]()

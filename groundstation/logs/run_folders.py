@@ -89,7 +89,7 @@ def label_of(folder: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def give_label(folder: Path, name: str, tags: Iterable[str]) -> None:
-    """Give a run this name and these tags instead of those that it had. Raises ConfigError."""
+    """Replace a run's name and tags. Raises ConfigError."""
     check_run(folder)
     kept = list(dict.fromkeys(tags))
     for tag in kept:

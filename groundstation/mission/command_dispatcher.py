@@ -4,8 +4,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from groundstation.mission.timetable import Timetable
-from shoal.messages.messages import Command, CommandKind, Reply, Trajectory
+from groundstation.telemetry import Fleet
+from shoal.messages.messages import Command, CommandKind, Mode, Reply, Trajectory
 
+BEGINS = frozenset({CommandKind.START, CommandKind.RESUME})
+MOVING = frozenset({Mode.TRACKING, Mode.DRIVEN})
+ON_ITS_WAY_S = 1.5  # then no robot takes a command up any more: it lives for 1 s, by what they know of our clock
 RETRY_S = 0.25  # between two tries of one command to one robot; half of the station's ORDER_TIMEOUT_S
 
 
@@ -38,13 +42,36 @@ class RetryTimer:
         return due_robots
 
 
+class Departures:
+    """Robots that may set off though they say that they hold: a START or RESUME may be on its way to them. They are told to
+    hold in any case, which comes behind it."""
+
+    def __init__(self) -> None:
+        self._sent_ns: dict[int, int] = {}  # of the last START or RESUME, by robot that has not been seen to move since
+
+    def note_sent(self, robot: int, now_ns: int) -> None:
+        """Take note that a robot is sent a START or RESUME."""
+        self._sent_ns[robot] = now_ns
+
+    def note_fleet(self, fleet: Fleet, now_ns: int) -> None:
+        """Take in what the robots say: one that has moved since has got it."""
+        for robot, sent_ns in list(self._sent_ns.items()):
+            gone = fleet[robot].mode in MOVING and fleet[robot].state_age_s * 1e9 < now_ns - sent_ns
+            if gone or now_ns - sent_ns > ON_ITS_WAY_S * 1e9:
+                del self._sent_ns[robot]
+
+    def may_come(self, robot: int) -> bool:
+        """True if a robot that says that it holds may set off all the same."""
+        return robot in self._sent_ns
+
+
 class CommandDispatcher:
     """Commands of one mission state, and the replies that count in it."""
 
-    def __init__(self, experiment_hash: str) -> None:
+    def __init__(self, experiment_hash: str, departures: Departures) -> None:
         self.loaded: set[tuple[int, str]] = set()  # (robot, trajectory id) of accepted LOADs
         self.tested: dict[int, int] = {}  # by robot that accepted TEST: instant of the reply [ns]
-        self._hash, self._timer = experiment_hash, RetryTimer()
+        self._hash, self._timer, self._departures = experiment_hash, RetryTimer(), departures
 
     def reset(self) -> None:
         """Begin another mission state: every robot is due at once."""
@@ -77,6 +104,9 @@ class CommandDispatcher:
     ) -> tuple[Command, ...]:
         """Commands for the robots in `trajectories` that are due. Each names its trajectory; LOAD carries it; START and
         RESUME carry the timetable."""
+        due = self._timer.due(trajectories, now_ns)
+        for robot in due if order in BEGINS else ():
+            self._departures.note_sent(robot, now_ns)
         return tuple(
             Command(
                 order,
@@ -87,5 +117,5 @@ class CommandDispatcher:
                 trajectory=trajectory if order is CommandKind.LOAD else None,
                 start_ns=timetable.start_ns if timetable is not None else 0,
             )
-            for robot in self._timer.due(trajectories, now_ns)
+            for robot in due
         )

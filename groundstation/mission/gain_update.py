@@ -172,7 +172,7 @@ class GainUpdater:
         if waiting and self._stage is not GainStage.WAITING:
             if now_ns - self._since_ns > PATIENCE_S * 1e9:
                 return self._give_up(f"robot {', '.join(map(str, waiting))} does not answer", fleet, now_ns)
-            return self._ask(order, waiting, change, now_ns)
+            return self._due_commands(order, waiting, change, now_ns)
         if self._stage is GainStage.ASKING:
             self._enter(GainStage.ADOPTING, now_ns)
         elif self._stage is GainStage.ADOPTING and change.trajectory_s > 0.0:
@@ -186,7 +186,7 @@ class GainUpdater:
             return self._give_up(f"robot {', '.join(late)} did not change over", fleet, now_ns)
         return ()
 
-    def _ask(self, order: CommandKind, robots: Sequence[int], change: _Change, now_ns: int) -> tuple[Command, ...]:
+    def _due_commands(self, order: CommandKind, robots: Sequence[int], change: _Change, now_ns: int) -> tuple[Command, ...]:
         """Commands of a change of gains that are due to these robots."""
         left_s = max(START_IN_S - (now_ns - self._since_ns) * 1e-9, 0.0)  # a second try counts from the same instant
         return tuple(
@@ -213,8 +213,8 @@ class GainUpdater:
         self._change, self._stage = None, GainStage.IDLE
 
     def _watch(self, change: _Change, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Wait for the lap. A robot that is disarmed or stopped meanwhile has forgotten the set; one that is not heard, or for
-        which the lap does not begin, would keep the others waiting."""
+        """Wait for the lap. Gives the change up if a robot is disarmed, stopped or silent meanwhile, as it has forgotten the
+        set, or if the lap does not begin for all robots."""
         flying = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
         leavers = [r for r in change.robots if fleet[r].mode not in flying or fleet[r].state_age_s > PATIENCE_S]
         if leavers:

@@ -8,15 +8,15 @@ that the mission waits for, `planned` takes its outcome.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
+from groundstation.mission.command_dispatcher import MOVING, CommandDispatcher, CommandResult, Departures
 from groundstation.mission.objections import (
     ARMED,
     LIVE,
-    MOVING,
     RequestContext,
     fit_to_rejoin,
     mode_name,
@@ -25,7 +25,7 @@ from groundstation.mission.objections import (
     unfit_to_return,
 )
 from groundstation.mission.obstacle_monitor import ObstacleSet
-from groundstation.mission.plan_manager import PlanManager, PlanRequest
+from groundstation.mission.plan_manager import PlanMaker, PlanManager, PlanRequest
 from groundstation.mission.roster import LED, Leader, Roster
 from groundstation.mission.state_machine import (
     AT_REST,
@@ -42,7 +42,7 @@ from groundstation.mission.state_machine import (
     rejection_reason,
 )
 from groundstation.mission.timetable import START_IN_S, ProgressGovernor, Timetable, turn_s
-from groundstation.planning.feasibility import PlanError
+from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import (
     OUT_OF_STEP_S,
@@ -146,7 +146,8 @@ class Mission:
         self.governor = ProgressGovernor(experiment.mission)
         self.roster = Roster(experiment.robot_ids, segment)
         self.plans = PlanManager(experiment, segment, starts, self.roster)
-        self._dispatcher = CommandDispatcher(experiment.hash)
+        self.departures = Departures()
+        self._dispatcher = CommandDispatcher(experiment.hash, self.departures)
         self._experiment = experiment
         self._data, self._run = _StateData(), _RunData()
         self.cycle_ns = 0  # instant of the last cycle; 0 before the first
@@ -255,6 +256,26 @@ class Mission:
             if self.state in PLANNING:
                 self._drop_disarmed(fleet)
 
+    def draft(self, order: CommandKind, text: str, fleet: Fleet, now_ns: int) -> PlanMaker:
+        """Function that plans what a FORMATION or a PATH would fly, without asking for it: by the robots that would fly it,
+        each with its trajectory under its own number. Raises PlanError with the reason against the request."""
+        context = self.request_context(order, fleet, text=text)
+        reason = rejection_reason(order, self.state) or objection(order, context)
+        if reason:
+            raise PlanError(reason)
+        roster = context.roster
+        if self.state is MissionState.PAUSED and self._would_have_gap:
+            roster = copy(roster)
+            roster.reassign_slots(*self.plans.formation, fleet)
+        other = context.other_flight if order is CommandKind.PATH else None
+        make = self.plans.of_roster(roster).draft(text, other, fleet, now_ns, self.state)
+
+        def by_robot(out_of_time: OutOfTime) -> PlanSegment:
+            segment = make(out_of_time)
+            return replace(segment, trajectories=roster.trajectories(segment))
+
+        return by_robot
+
     def takes_out(self, order: CommandKind) -> bool:
         """True if such an order takes its robot out of the formation: in flight always, while all hold DISARM and OUT."""
         return self.state in NOMINAL or (self.state is MissionState.PAUSED and order in (CommandKind.DISARM, CommandKind.OUT))
@@ -344,6 +365,7 @@ class Mission:
         if refused and (not self.reason or self.state in SHOWS_REFUSALS):
             self.reason = refused
         self.plans.monitor.update(obstacles, now_ns)
+        self.departures.note_fleet(fleet, now_ns)
         if self._give_up_s is not None and self.state in UNDER_WAY:
             self._check_progress(self._give_up_s, now_ns)
         if self.state is MissionState.WAITING:
@@ -458,7 +480,7 @@ class Mission:
         plans = self.plans
         in_step = [r for r in self.roster.active if abs(self.behind_s(r, fleet[r], now_ns)) <= OUT_OF_STEP_S]
         clocks_s = [clock_s for r in in_step if (clock_s := self._clock_s(r, fleet[r])) is not None]
-        progress_s = min(clocks_s, default=plans.progress_s)
+        progress_s = min(*clocks_s, self.segment.end_s) if clocks_s else plans.progress_s  # no plan begins beyond the end
         if self.state is MissionState.PAUSED:  # all go on from the slowest robot's progress, except one that fell out of step
             plans.progress_s = max(plans.progress_s, progress_s)
             return
@@ -614,7 +636,9 @@ class Mission:
             return ()
         if stage.order is CommandKind.ARM:  # under power it refuses; restarted meanwhile, it would be armed by this
             waiting = [r for r in waiting if fleet[r].mode not in LIVE]
-        return self._send(stage.order, waiting, now_ns)
+        moving = [r for r in waiting if self.state in PLANNING and fleet[r].mode in MOVING]  # a plan from rest is not for them
+        others = [r for r in waiting if r not in moving]
+        return self._send(CommandKind.HOLD, moving, now_ns) + self._send(stage.order, others, now_ns)
 
     def _note_power(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> None:
         """Remember which robots were armed since the last request for which they may be, by their states and replies."""
@@ -647,7 +671,7 @@ class Mission:
         return view.state_age_s * 1e9 <= now_ns - self._data.since_ns
 
     def _addressed(self, fleet: Fleet) -> Sequence[int]:
-        """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were until just now."""
+        """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were heard until just now."""
         all_robots = self.roster.all_robots
         if self.state in (MissionState.ABORTING, MissionState.CLEARING):
             return [r for r in all_robots if r not in self.roster.out or fleet[r].heard]
@@ -666,7 +690,12 @@ class Mission:
             self._go(MissionEvent.RECOVERED, now_ns)
             self._replan_if_needed(fleet, now_ns)
             return ()
-        return self._send(CommandKind.HOLD, [r for r in moving if r not in self.roster.led_by_people], now_ns)
+        told = [r for r in moving + self._may_set_off(fleet) if r not in self.roster.led_by_people]
+        return self._send(CommandKind.HOLD, told, now_ns)
+
+    def _may_set_off(self, fleet: Fleet) -> list[int]:
+        """Robots that say that they hold, and may set off all the same."""
+        return [r for r in self.roster.active if fleet[r].mode is Mode.HOLDING and self.departures.may_come(r)]
 
     @property
     def _may_replan(self) -> bool:
@@ -733,11 +762,11 @@ class Mission:
             if waited_s > PATIENCE_S:
                 self._on_timeout(f"robot {', '.join(map(str, flying))} does not follow HOLD", now_ns)
                 return ()
-            return self._send(CommandKind.HOLD, flying, now_ns)
+            return self._send(CommandKind.HOLD, flying + self._may_set_off(fleet), now_ns)
         fast = any(fleet[r].speed_mps > AT_REST_MPS for r in self.roster.active if fleet[r].mode is Mode.HOLDING)
         if not fast or waited_s > REST_WITHIN_S:
             self.plans.request_plan_from_rest(fleet)
-        return ()
+        return self._send(CommandKind.HOLD, self._may_set_off(fleet), now_ns)
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Have each robot test its thrusters, until all have a result."""

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from groundstation.mission.command_dispatcher import MOVING
 from groundstation.mission.roster import TAKEN_OUT, Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.replanning import can_replan
@@ -25,7 +26,6 @@ from shoal.frames import Array
 from shoal.messages.messages import CommandKind, Mode
 
 ARMED = frozenset({Mode.ARMED, Mode.HOLDING})
-MOVING = frozenset({Mode.TRACKING, Mode.DRIVEN})
 LIVE = ARMED | MOVING
 
 

@@ -6,6 +6,7 @@ that start flies. Planning takes time: `request` is the plan to be computed.
 """
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 
 from groundstation.mission.lap_statistics import FlownLaps
@@ -75,6 +76,12 @@ class PlanManager:
         self._flight, self._flights = FlownPath(experiment, first), 0
         self._purpose: Callable[[Fleet, float], PlanMaker] | None = None  # of coming to rest
         self._coming: FlownPath | None = None  # that begins then
+
+    def of_roster(self, roster: Roster) -> "PlanManager":
+        """The same plans for other robots, or other slots of theirs: to try what a request would do."""
+        other = copy(self)
+        other._roster = roster
+        return other
 
     def reset(self) -> None:
         """Start again at the beginning of the first segment, with all robots."""

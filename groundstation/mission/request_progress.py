@@ -8,7 +8,7 @@ commands show the same outcomes.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from groundstation.mission.command_dispatcher import CommandResult
+from groundstation.mission.command_dispatcher import MOVING, CommandResult
 from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
 from groundstation.mission.mission import (
     AT_REST_MPS,
@@ -19,7 +19,7 @@ from groundstation.mission.mission import (
     may_have_power,
     may_move,
 )
-from groundstation.mission.objections import ARMED, LIVE, MOVING
+from groundstation.mission.objections import ARMED, LIVE
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState, command_name
 from groundstation.planning.segment import PlanSegment

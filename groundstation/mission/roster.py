@@ -57,7 +57,7 @@ class Roster:
     def reassign_slots(self, segment: PlanSegment, progress_s: float, fleet: Fleet) -> None:
         """Give the active robots the slots of the experiment's first robots, by the shortest ways."""
         slots, self.closed = self.all_robots[: len(self.active)], True
-        self.slots |= assign_slots(segment, progress_s, {r: fleet[r].eta for r in self.active}, slots)
+        self.slots = self.slots | assign_slots(segment, progress_s, {r: fleet[r].eta for r in self.active}, slots)
 
     def mark_lost(self, robot: int, why: str) -> None:
         """Go on without a robot."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from groundstation.formation_clock import named_alone
-from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
+from groundstation.mission.command_dispatcher import MOVING, CommandDispatcher, CommandResult
 from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, UNFIT, Mission, may_have_power
 from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
@@ -22,7 +22,7 @@ from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import Fleet, RobotView, foreign_poses, preflight
+from groundstation.telemetry import Fleet, RobotView, blind_robots, foreign_poses, preflight
 from shoal.config.experiment import Experiment
 from shoal.messages.messages import Command, CommandKind, DriveVelocity, Mode, Progress, Trajectory
 
@@ -64,7 +64,7 @@ class SingleRobotControl:
     def __init__(self, experiment: Experiment, mission: Mission) -> None:
         self.tasks: dict[int, RobotTask] = {}  # the last one of each robot
         self._experiment, self._mission = experiment, mission
-        self._dispatchers = {robot: CommandDispatcher(experiment.hash) for robot in experiment.robot_ids}
+        self._dispatchers = {robot: CommandDispatcher(experiment.hash, mission.departures) for robot in experiment.robot_ids}
         self._planned_for: tuple[int, RobotTask] | None = None
         self._interrupted_ns: dict[int, int] = {}  # by robot whose DRIVE another request ended: instant of the last velocity
         self.plan_request: PlanRequest | None = None
@@ -140,7 +140,7 @@ class SingleRobotControl:
         return task if task is not None and task.progress is Progress.UNDER_WAY else None
 
     def _begin(self, robot: int, task: RobotTask) -> None:
-        """Lead a robot by a new task; the one before it fails. A repetition of the same request is no other one."""
+        """Begin a robot's new task; the task before it fails. A repetition of the same request is not a new one."""
         before = self._under_way(robot)
         if before is not None and before.order is task.order and task.order is not CommandKind.GO:
             return
@@ -181,7 +181,7 @@ class SingleRobotControl:
             return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
         view = fleet[robot]
         if order in WATER:
-            return self._wrong_water(order, robot, view)
+            return self._out_refusal(order, robot, view)
         if robot in mission.roster.out:
             return f"robot {robot} is {TAKEN_OUT} (groundstation mission back-in --robot {robot})"
         if not view.heard:
@@ -194,11 +194,16 @@ class SingleRobotControl:
             return f"robot {robot} is STOPPED: clear the stop" if view.mode is Mode.STOPPED else ""
         if view.mode not in LIVE:
             return f"robot {robot} is {mode_name(view)}: arm it first"
-        if order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
-            return foreign
+        if reason := self._may_not_move(order, robot, fleet):
+            return reason
         return self._no_place(robot, fleet, place_m) if order is CommandKind.GO else ""
 
-    def _wrong_water(self, order: CommandKind, robot: int, view: RobotView) -> str:
+    def _may_not_move(self, order: CommandKind, robot: int, fleet: Fleet) -> str:
+        """Reason why a robot may not do such a request as it sees now; empty if it may. Who drives it looks at the water."""
+        foreign = foreign_poses(self._experiment, fleet, (robot,)) if order in LED else ""
+        return foreign or (blind_robots(self._experiment, fleet, (robot,)) if order is CommandKind.GO else "")
+
+    def _out_refusal(self, order: CommandKind, robot: int, view: RobotView) -> str:
         """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
         roster = self._mission.roster
         if (robot in roster.out) is (order is CommandKind.OUT):
@@ -265,15 +270,16 @@ class SingleRobotControl:
             return holds and self._has_flown(task, view) and not self._not_there(robot, task, fleet)
         if task.order is CommandKind.DRIVE and task.velocity is not None:
             return False
-        order = CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order
+        order = CommandKind.HOLD if task.order is CommandKind.DRIVE else task.order  # a drive without a velocity ends in HOLD
         if order is CommandKind.DISARM and not self._dispatchers[robot].has_sent(robot):
-            return False  # it may be disarmed and have an ARM on its way, which this one follows
-        return view.state_age_s * 1e9 < now_ns - task.since_ns and view.mode in CONFIRMS[order]  # however late it came
+            return False  # a robot that is disarmed may still get an ARM that was sent before: DISARM has to follow it
+        sent_since = view.state_age_s * 1e9 < now_ns - task.since_ns
+        return sent_since and view.mode in CONFIRMS[order]
 
     def _advance(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""
-        if task.order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
-            self._end(robot, foreign)  # the mission lets it hold
+        if reason := self._may_not_move(task.order, robot, fleet):
+            self._end(robot, reason)  # the mission lets it hold
             return ()
         if task.order is CommandKind.DRIVE and task.velocity is not None:
             return self._drive(robot, task, task.velocity, view, now_ns)
@@ -316,7 +322,7 @@ class SingleRobotControl:
             self._end(robot, f"robot {robot} is {mode_name(view) if view.heard else 'not heard'}")
             return ()
         if transfer is None:
-            if view.mode is not Mode.HOLDING:
+            if view.mode is not Mode.HOLDING or self._mission.departures.may_come(robot):
                 return self._send(CommandKind.HOLD, robot, None, now_ns)
             rests = view.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
             if rests and self.plan_request is None:
@@ -333,6 +339,8 @@ class SingleRobotControl:
             task.started = True  # at the path's end a robot that lags has SETTLE_S to come up
             settled = flown and (view.speed_mps < AT_REST_MPS or state.trajectory_s >= transfer.end_s)
             return self._send(CommandKind.HOLD, robot, None, now_ns) if settled else ()
+        if view.mode in MOVING:
+            return self._send(CommandKind.HOLD, robot, None, now_ns)
         if state.trajectory_id != trajectory.id:
             return self._send(CommandKind.LOAD, robot, trajectory, now_ns)
         if task.timetable is None:

@@ -274,13 +274,13 @@ def markdown() -> str:
     """Tables of states, requests and events in Markdown, for docs/reference/mission-states.md."""
     lines = [f"* {state.name}: {state.value}" for state in MissionState if state.name.lower() not in state.value]
     lines += ["", "Groups of states in the tables:", ""]
-    lines += [f"* *{name}*: {_in_groups(states, name)}" for name, states in GROUPS.items()]
+    lines += [f"* *{name}*: {_states_in_words(states, name)}" for name, states in GROUPS.items()]
     lines += ["", "| A person requests | in the states | leads to |", "| --- | --- | --- |"]
-    lines += [f"| {row.cause.name} | {_in_groups(row.states)} | {row.to.name} |" for row in _of(CommandKind)]
+    lines += [f"| {row.cause.name} | {_states_in_words(row.states)} | {row.to.name} |" for row in _of(CommandKind)]
     lines += ["", "| By itself | changes |", "| --- | --- |"]
     events = _of(MissionEvent)
     for event in dict.fromkeys(row.cause for row in events):
-        changes = "; ".join(f"{_in_groups(row.states)} → {row.to.name}" for row in events if row.cause is event)
+        changes = "; ".join(f"{_states_in_words(row.states)} → {row.to.name}" for row in events if row.cause is event)
         lines.append(f"| {event.value} | {changes} |")
     return "\n".join(lines) + "\n"
 
@@ -289,11 +289,11 @@ def _of(kind: type[CommandKind] | type[MissionEvent]) -> list[MissionTransition]
     return [row for row in TRANSITIONS if isinstance(row.cause, kind)]
 
 
-def _in_groups(states: frozenset[MissionState], but: str = "") -> str:
+def _states_in_words(states: frozenset[MissionState], but: str = "") -> str:
     """States in few words: groups of GROUPS first, the largest before the others, then single names. `but` is the group that
     the words explain."""
     if len(missing := ANY - states) < FEW:
-        return f"any but {_in_groups(missing)}" if missing else "any"
+        return f"any but {_states_in_words(missing)}" if missing else "any"
     left, words = set(states), []
     for name, group in sorted(GROUPS.items(), key=lambda item: -len(item[1])):
         if name != but and group <= left:

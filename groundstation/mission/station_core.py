@@ -7,11 +7,11 @@ the one entrance for people and scripts. groundstation/station/station.py has th
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from groundstation.mission.command_dispatcher import CommandResult
+from groundstation.mission.command_dispatcher import MOVING, CommandResult
 from groundstation.mission.gain_update import TUNING, GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import AT_REST_MPS, Mission, may_have_power
-from groundstation.mission.objections import LIVE, MOVING
+from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.request_progress import RequestTracker
@@ -63,13 +63,13 @@ class StationCore:
         return replace(view, behind_s=self.mission.behind_s(robot, view, now_ns), other_gains=other_gains, out=out)
 
     def follow(self, fleet: Fleet, answers: Sequence[CommandResult]) -> tuple[Outcome, ...]:
-        """Update the outcomes of requests; returns those that have ended. The run ends if one of them asks for it and is
-        done."""
-        ending = self.requests.ending
-        over = self.requests.follow(self.mission, fleet, self.tuner.status(), answers)
-        ends = [outcome.progress for outcome in self.requests.recent if outcome.order is CommandKind.END]
-        self.ended = self.ended or (ending and not self.requests.ending and ends[-1] is Progress.DONE)
-        return over
+        """Update the outcomes of requests; returns those that are over. The run has ended when a request END is done."""
+        was_ending = self.requests.ending
+        outcomes = self.requests.follow(self.mission, fleet, self.tuner.status(), answers)
+        if was_ending and not self.requests.ending:
+            ends = [outcome for outcome in self.requests.recent if outcome.order is CommandKind.END]
+            self.ended = self.ended or ends[-1].progress is Progress.DONE
+        return outcomes
 
     def plan_requests(self) -> Iterator[tuple[str, PlanRequest | None]]:
         """The plan that each owner waits for, with the owner's name."""
@@ -109,8 +109,8 @@ class StationCore:
         return reason, 0 if reason else self.requests.begin(order, self.mission)
 
     def come_to_rest(self, fleet: Fleet, now_ns: int) -> bool:
-        """Hold every robot that moves, also one that is led alone: the station is about to leave. Returns False once none that
-        is heard moves, fast or by itself."""
+        """Hold every robot that moves, also one that is led alone, before the station ends. Returns False once no robot that
+        is heard moves."""
         self.mission.roster.take_back()
         if self.mission.state in states_allowing(CommandKind.HOLD) - {MissionState.PAUSED}:
             self.request(CommandKind.HOLD, fleet, now_ns)

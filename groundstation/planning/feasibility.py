@@ -69,16 +69,16 @@ def figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], coun
     eta = {robot: t.eta[:count, :3] for robot, t in trajectories.items()}
     keep_m = 2.0 * experiment.safety.radius_m
     pairs = list(combinations(trajectories, 2))
-    give_way = [_give_way(experiment, a, b) for a, b in pairs]
+    gives_way = [give_way(experiment, a, b) for a, b in pairs]
     apart_m = [
-        np.linalg.norm(eta[a] - eta[b], axis=1)[-1 if late else 0 :] for (a, b), late in zip(pairs, give_way, strict=True)
+        np.linalg.norm(eta[a] - eta[b], axis=1)[-1 if late else 0 :] for (a, b), late in zip(pairs, gives_way, strict=True)
     ]
     nearest_m = min(apart_m, key=np.min, default=np.array([np.inf]))  # of the pair that comes nearest, over time
     least_m = float(nearest_m.min())
     begins_too_near = nearest_m[0] == least_m < keep_m - TOLERANCE
     moves_apart = nearest_m[-1] >= keep_m - TOLERANCE
     when = ", as they lie now" if begins_too_near and moves_apart else ""  # no plan can mend that
-    when = when or (" at the end (before, robots give way)" if any(give_way) else "")
+    when = when or (" at the end (before, robots give way)" if any(gives_way) else "")
     away_m = float(experiment.clearance_m(np.vstack(list(eta.values()))).min())
     listed = [
         PlanFigure(f"between centres{when}", "m", least_m, keep_m, True),
@@ -99,15 +99,17 @@ def robot_problems(
     begin_s: float = 0.0,
     out_of_time: OutOfTime = never,
 ) -> Iterator[str]:
-    """Lines for limits that robots would exceed in their first `count` samples, the first of them at `begin_s`: one a kind."""
+    """Lines for limits that robots would exceed, one a kind; the first sample is at `begin_s`. Walls and islands count in the
+    first `count` samples. Behind those are the ones to which a controller looks ahead: robots ask that these, too, lie in the
+    pool and can be flown (guidance/trajectory_check.py)."""
     for robot, motion in motions.items():
         check_time(out_of_time)
         eta = motion.eta[:count]
         for what, unit, _, limit, values in experiment.vehicle.demands(motion.velocity, motion.acceleration):
-            worst = _worst(values[:count], limit)
+            worst = _worst(values[:count], limit) or _worst(values, limit)
             if worst is not None:
                 over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"
-                yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, eta[worst.index])}"
+                yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, motion.eta[worst.index])}"
         for index, what in _leaps(motion, experiment.controller.period_s):
             yield f"robot {robot}: {what} at once {_moment(experiment, begin_s, index, motion.eta[index])}"
         for what, excess in outside(experiment, eta[:, :3]).items():
@@ -115,6 +117,11 @@ def robot_problems(
             if worst is not None:
                 where = _moment(experiment, begin_s, worst.index, eta[worst.index])
                 yield f"robot {robot}: {worst.value:.3f} m beyond {what} {where}"
+        ahead = motion.eta[count:, :3] if experiment.pool.walls else motion.eta[:0, :3]
+        out = np.flatnonzero(~experiment.pool.holds(ahead))
+        if len(out):
+            where = _moment(experiment, begin_s, count + int(out[0]), ahead[out[0]])
+            yield f"robot {robot}: leaves the pool {where}, on its way on after the end: end sooner, or let the path stop"
 
 
 def _leaps(motion: NodeMotion, period_s: float) -> Iterator[tuple[int, str]]:
@@ -138,7 +145,7 @@ def pair_problems(
     closest_m = 2.0 * experiment.safety.radius_m
     for a, b in combinations(sorted(motions), 2):
         check_time(out_of_time)
-        counts = slice(count - 1 if _give_way(experiment, a, b) else 0, count)
+        counts = slice(count - 1 if give_way(experiment, a, b) else 0, count)
         apart = np.full(count, np.inf)
         apart[counts] = np.linalg.norm(motions[a].eta[counts, :3] - motions[b].eta[counts, :3], axis=1)
         index = int(np.argmin(apart))
@@ -147,7 +154,7 @@ def pair_problems(
             yield f"robots {a} and {b}: {short} {_moment(experiment, begin_s, index, motions[a].eta[index])}"
 
 
-def _give_way(experiment: Experiment, a: int, b: int) -> bool:
+def give_way(experiment: Experiment, a: int, b: int) -> bool:
     """True for two robots on different paths: they give way to each other in flight, and only their ends are kept apart."""
     return experiment.path_of(experiment.robot(a)) != experiment.path_of(experiment.robot(b))
 

@@ -34,7 +34,7 @@ from shoal.messages.messages import Trajectory
 
 BLEND_S = (4.0, 7.0, 2.5)  # blending from the old motion to the new one; tried in turn
 STAY_S = 5.0  # at the last place that the operator gave
-SAME_M = 1e-3  # nearer than this to a place counts as there
+SAME_M = 1e-3  # nearer than this to a place counts as arrival
 LONGEST = 3.0  # the new route may be longer than a straight one by this share of it
 BESIDE_M = 0.5  # a place nearer than this to an obstacle is left out: the path by it and around would bend sharply
 SMOOTH_M = 1.0  # length over which bends are spread at least
@@ -145,17 +145,19 @@ def _rerouted(
     state = path.at(time_s)
     new = planner.node_motions(experiment, state, experiment.robots, nodes)
     centre = node_motion(state, planner.at_centre(samples), "translate", period_s)
-    there = _arrival(centre.eta, waypoints[-1])
-    if there >= samples - 2 and longer < LONGEST:
+    arrival = _arrival(centre.eta, waypoints[-1])
+    if arrival >= samples - 2 and longer < LONGEST:
         return _rerouted(experiment, segment, begin_s, given_via, out_of_time, LONGEST)
-    there_s = begin_s + period_s * there
-    end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
+    arrival_s = begin_s + period_s * arrival
+    stays_s = STAY_S if route.stop else 0.0  # one that does not stop would fly on beyond the place
+    end_s = arrival_s + (stays_s if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
-    around = _gone_over(experiment, segment, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
-    return replace(around, via=tuple(given_via) or segment.via, forms=segment.forms, path_s=segment.path_s)
+    motions = {r: _cut(motion, kept) for r, motion in new.items()}
+    blended = _blended_segment(experiment, segment, begin_s, motions, _cut(centre, kept), end_s)
+    return replace(blended, via=tuple(given_via) or segment.via, forms=segment.forms, path_s=segment.path_s)
 
 
-def _gone_over(
+def _blended_segment(
     experiment: Experiment,
     segment: PlanSegment,
     begin_s: float,
@@ -163,20 +165,21 @@ def _gone_over(
     centre: NodeMotion,
     end_s: float,
 ) -> PlanSegment:
-    """Segment that blends from the old motions to the new ones; the first of BLEND_S that can be flown."""
+    """Segment that blends from the old motions to the new ones within the first of the times BLEND_S that can be flown. Raises
+    PlanError with the problems of the last one tried."""
     period_s = experiment.controller.period_s
     flown = min(round((end_s - begin_s) / period_s) + 1, len(centre.eta))
     problems = ["the path's end is too near"]
-    for over_s in BLEND_S:
-        if begin_s + over_s > segment.centre.begin_s + (len(segment.centre.eta) - 1) * period_s:
+    for blend_s in BLEND_S:
+        if begin_s + blend_s > segment.centre.begin_s + (len(segment.centre.eta) - 1) * period_s:
             continue
-        motions = {r: blend_trajectories(segment.trajectories[r], motion, begin_s, over_s) for r, motion in new.items()}
+        motions = {r: blend_trajectories(segment.trajectories[r], motion, begin_s, blend_s) for r, motion in new.items()}
         problems = [
             *robot_problems(experiment, motions, flown, begin_s),
             *pair_problems(experiment, motions, flown, begin_s),
         ]
         if not problems:
-            middle = blend_trajectories(segment.centre, centre, begin_s, over_s)
+            middle = blend_trajectories(segment.centre, centre, begin_s, blend_s)
             return PlanSegment(
                 {r: planner.trajectory(m, period_s, begin_s) for r, m in motions.items()},
                 planner.trajectory(middle, period_s, begin_s),
@@ -185,15 +188,15 @@ def _gone_over(
     raise PlanError("; ".join(problems))
 
 
-def blend_trajectories(old: Trajectory, new: NodeMotion, begin_s: float, over_s: float) -> NodeMotion:
-    """Motion from the old one at `begin_s` to the new one `over_s` later, without a jump in position, velocity and
+def blend_trajectories(old: Trajectory, new: NodeMotion, begin_s: float, blend_s: float) -> NodeMotion:
+    """Motion from the old one at `begin_s` to the new one `blend_s` later, without a jump in position, velocity and
     acceleration (quintic_blend). Headings are those of the resulting motion."""
     period_s = old.period_s
-    count = min(round(over_s / period_s) + 1, len(new.eta))
+    count = min(round(blend_s / period_s) + 1, len(new.eta))
     time_s = period_s * np.arange(count, dtype=np.float64)
     before = sample(old, begin_s + time_s)
-    tau = np.clip(time_s / over_s, 0.0, 1.0)[:, None]
-    s, s1, s2 = quintic_blend(tau, over_s)
+    tau = np.clip(time_s / blend_s, 0.0, 1.0)[:, None]
+    s, s1, s2 = quintic_blend(tau, blend_s)
     place, speed, push = new.eta[:, :3].copy(), new.velocity[:, :3].copy(), new.acceleration[:, :3].copy()
     away, faster = place[:count] - before.eta[:, :3], speed[:count] - before.velocity[:, :3]
     push[:count] = before.acceleration[:, :3] + s * (push[:count] - before.acceleration[:, :3]) + 2.0 * s1 * faster + s2 * away
@@ -222,10 +225,10 @@ def _route_spec(path: PathSpec) -> Route:
 def _places_left(
     experiment: Experiment, places: Sequence[tuple[float, float]], segment: PlanSegment, begin_s: float
 ) -> tuple[tuple[float, float], ...]:
-    """Places that the centre passes after the blend and that are not beside an obstacle; always the last.
+    """Places that the centre passes after the blend and that are not beside an obstacle; the last one always.
 
-    Places are passed in their order, so that each counts up to where the next one is passed: what comes nearest to a place
-    behind that may be another part of the path.
+    The search goes backwards from the last place: the centre passes a place where it comes nearest to it before it passes
+    the next one. Without that limit, another part of the path may come nearer still.
     """
     *before, last = places
     reach_m = float(np.hypot(*experiment.nodes_m()[:, :2].T).max()) + BESIDE_M

@@ -8,12 +8,13 @@ groundstation/planning/prioritized_planning.py plans the transfers, clear of one
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import OutOfTime, PlanError, never
+from groundstation.planning.feasibility import OutOfTime, PlanError, give_way, never
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.prioritized_planning import plan_transfers
 from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, later, sample
@@ -39,7 +40,7 @@ def plan_return(
     lying: Array = NO_OBSTACLES,
 ) -> PlanSegment:
     """Plan the return of the robots in `rests` from their rest poses to their starts. The ways lead around `obstacles`; none
-    may end on what is `lying` there. Raises PlanError."""
+    may end on a place of `lying`. Raises PlanError."""
     goals = {r: starts[r] for r in rests}
     _must_be_free(experiment, rests, goals, lying)
     motions = plan_transfers(experiment, rests, goals, keep_away(experiment, obstacles), out_of_time)
@@ -60,18 +61,20 @@ def plan_regroup(
     out_of_time: OutOfTime = never,
 ) -> PlanSegment:
     """Plan transfers from rest into the slots of a segment at `progress_s`, and on along it. Where an obstacle lies in a slot,
-    the transfers lead further along the segment, until all slots are free."""
+    or slots are those of paths through one another, the transfers lead further along the segment, until all are free."""
     period_s, away = experiment.controller.period_s, keep_away(experiment, obstacles)
-    progress_s = _free_from(segment, max(progress_s, segment.transfer_end_s), [slots[r] for r in rests], away)
+    progress_s = _free_from(experiment, segment, max(progress_s, segment.transfer_end_s), [slots[r] for r in rests], away)
     places = {r: sample(segment.trajectories[slots[r]], np.array([progress_s])).eta[0] for r in rests}
     moves = plan_transfers(experiment, rests, places, away, out_of_time)
     still = max(len(m.eta) for m in moves.values())
     on_way = {slots[r]: m for r, m in moves.items()}
-    left = round((segment.end_s - progress_s + RAMP_S) / period_s) + planner.horizon(experiment)
+    left = round((segment.end_s - progress_s + 0.5 * RAMP_S) / period_s) + planner.horizon(experiment)  # as much as there is
     turn = turn_samples(experiment)
-    trajectories = {s: _then_on(t, on_way.get(s), still, turn, progress_s, left) for s, t in segment.trajectories.items()}
+    trajectories = {
+        s: _then_trajectory(t, on_way.get(s), still, turn, progress_s, left) for s, t in segment.trajectories.items()
+    }
     moved = {s: planner.trajectory(m, period_s, begin_s) for s, m in trajectories.items()}
-    centre = planner.trajectory(_then_on(segment.centre, None, still, turn, progress_s, left), period_s, begin_s)
+    centre = planner.trajectory(_then_trajectory(segment.centre, None, still, turn, progress_s, left), period_s, begin_s)
     end_s = begin_s + (still + turn) * period_s + (segment.end_s - progress_s) + 0.5 * RAMP_S
     on_s = begin_s + (still + turn) * period_s
     stood_s = on_s + 0.5 * RAMP_S - progress_s
@@ -79,11 +82,17 @@ def plan_regroup(
     return PlanSegment(moved, centre, end_s, segment.is_return, segment.via, forms, on_s, path_s)
 
 
-def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], away: Array) -> float:
-    """First progress in s at which these slots are clear of `away`, discs (k, 3) that a centre keeps out of."""
+def _free_from(experiment: Experiment, segment: PlanSegment, progress_s: float, slots: Sequence[int], away: Array) -> float:
+    """First progress in s at which these slots are clear of `away`, discs (k, 3) that a centre keeps out of, and of one
+    another: on different paths robots give way in flight, but cannot rest at one place."""
     period_s = segment.centre.period_s
     time_s = progress_s + period_s * np.arange(max(round((segment.end_s - progress_s) / period_s), 1), dtype=np.float64)
-    free = np.ones(len(time_s), dtype=bool)
+    free, keep_m = np.ones(len(time_s), dtype=bool), 2.0 * experiment.safety.radius_m + experiment.safety.margin_m
+    for pair in combinations(slots, 2):
+        if give_way(experiment, *pair):
+            one, other = (sample(segment.trajectories[slot], time_s).eta[:, :3] for slot in pair)
+            apart_m = np.linalg.norm(one - other, axis=1)
+            free &= apart_m >= min(keep_m, float(apart_m[-1])) - SAME_M
     for slot in slots if len(away) else ():
         apart = sample(segment.trajectories[slot], time_s).eta[:, None, :2] - away[:, :2]
         free &= np.all(np.hypot(*apart.transpose(2, 0, 1)) > away[:, 2] + SAME_M, axis=1)
@@ -92,7 +101,7 @@ def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], aw
     return float(time_s[int(np.argmax(free))])
 
 
-def _then_on(
+def _then_trajectory(
     trajectory: Trajectory, move: NodeMotion | None, still: int, turn: int, progress_s: float, samples: int
 ) -> NodeMotion:
     """A move of `still` samples (None: rest as long), a turn of `turn` samples, then the trajectory from `progress_s` on with

@@ -117,25 +117,25 @@ def first_contact(
     time_s = np.arange(from_s, min(until_s, ends_s), segment.centre.period_s)
     contacts = []
     for slot, trajectory in segment.trajectories.items():
-        short = _short_m(experiment, trajectory, time_s, obstacles)
+        overlap_m = _overlap_m(experiment, trajectory, time_s, obstacles)
         if apart:
-            now, end = _short_m(experiment, trajectory, np.array([from_s, ends_s]), obstacles)
-            end = np.minimum(end, experiment.safety.radius_m - experiment.vehicle.radius_m)
-            short -= np.maximum(np.maximum(now, end), 0.0) + BESIDE_M
-        meets = np.flatnonzero(short.max(axis=1, initial=-np.inf) > 0.0)
+            at_begin_m, at_end_m = _overlap_m(experiment, trajectory, np.array([from_s, ends_s]), obstacles)
+            without_touch_m = np.minimum(at_end_m, experiment.safety.radius_m - experiment.vehicle.radius_m)
+            overlap_m -= np.maximum(np.maximum(at_begin_m, without_touch_m), 0.0) + BESIDE_M
+        meets = np.flatnonzero(overlap_m.max(axis=1, initial=-np.inf) > 0.0)
         if len(meets):
             first = int(meets[0])
-            nearest = int(np.argmax(short[first]))
+            nearest = int(np.argmax(overlap_m[first]))
             x, y, _ = obstacles[nearest]
-            robot = nearest - (len(obstacles) - len(lost))
-            cause = f"robot {lost[robot]}" if robot >= 0 else "something"
+            lost_index = nearest - (len(obstacles) - len(lost))
+            cause = f"robot {lost[lost_index]}" if lost_index >= 0 else "something"
             in_s = first * segment.centre.period_s
             contacts.append((first, f"{cause} lies at ({x:z.2f}, {y:z.2f}) m, on the path of robot {slot}, in {in_s:.1f} s"))
     return min(contacts)[1] if contacts else ""
 
 
-def _short_m(experiment: Experiment, trajectory: Trajectory, time_s: Array, obstacles: Array) -> Array:
-    """Distance in m by which a robot is too near to obstacles (k, 3) at instants (n,): (n, k)."""
+def _overlap_m(experiment: Experiment, trajectory: Trajectory, time_s: Array, obstacles: Array) -> Array:
+    """Distance in m by which a robot is nearer than safety.radius_m to obstacles (k, 3) at instants (n,): (n, k)."""
     eta = sample(trajectory, time_s).eta
     apart_m = np.hypot(*(eta[:, None, :2] - obstacles[:, :2]).transpose(2, 0, 1))
     return np.asarray(obstacles[:, 2] + experiment.safety.radius_m - apart_m)

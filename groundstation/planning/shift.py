@@ -85,15 +85,25 @@ def form_shifts(experiment: Experiment, segment: PlanSegment, begin_s: float, ch
 
 
 def _turned(within: SlotOffset, yaw: Array, rate: Array, bend: Array) -> SlotOffset:
-    """A shift in a level structure that turns, in the pool frame (node_motion)."""
+    """A shift s in a level structure that turns, in the pool frame (node_motion). R: the structure's rotation, w: its turn
+    rate about the vertical z.
+
+        p = R s        p' = w z x p + R s'        p'' = w' z x p - w^2 p + 2 w z x R s' + R s''        (- w^2 p: x and y alone)
+    """
     rotation = structure_rotation(yaw, np.zeros_like(yaw))
-    arm, drift, swing = (
+    place, velocity, acceleration = (
         np.einsum("nij,nj->ni", rotation, each) for each in (within.place_m, within.rate_mps, within.bend_mps2)
     )
-    across, sideways = (np.column_stack([-each[:, 1], each[:, 0], np.zeros(len(each))]) for each in (arm, drift))
-    inward = -arm * np.array([1.0, 1.0, 0.0])
-    turning, angular = rate[:, None], bend[:, None]
-    return SlotOffset(arm, turning * across + drift, angular * across + turning**2 * inward + 2.0 * turning * sideways + swing)
+    across_place, across_velocity = (
+        np.column_stack([-each[:, 1], each[:, 0], np.zeros(len(each))]) for each in (place, velocity)
+    )
+    inward = -place * np.array([1.0, 1.0, 0.0])
+    w, w_rate = rate[:, None], bend[:, None]
+    return SlotOffset(
+        place,
+        w * across_place + velocity,
+        w_rate * across_place + w**2 * inward + 2.0 * w * across_velocity + acceleration,
+    )
 
 
 def move_past(experiment: Experiment, segment: PlanSegment, begin_s: float, obstacles: Array, clear_m: float) -> PlanSegment:
@@ -224,12 +234,12 @@ def shifted(
     with every reason for which it must not be flown."""
     period_s = segment.centre.period_s
     time_s, centre = _ahead(segment, begin_s)
-    motions = {slot: _moved(sample(t, time_s), shifts[slot], period_s) for slot, t in segment.trajectories.items()}
+    motions = {slot: _shifted_motion(sample(t, time_s), shifts[slot], period_s) for slot, t in segment.trajectories.items()}
     flown = min(round((segment.end_s - begin_s) / period_s) + 1, len(time_s))
     problems = [*robot_problems(experiment, motions, flown, begin_s), *pair_problems(experiment, motions, flown, begin_s)]
     if problems:
         raise PlanError("\n".join(problems))
-    middle = centre if of_centre is None else _moved(centre, of_centre, period_s)
+    middle = centre if of_centre is None else _shifted_motion(centre, of_centre, period_s)
     return replace(
         segment,
         trajectories={slot: planner.trajectory(motion, period_s, begin_s) for slot, motion in motions.items()},
@@ -237,7 +247,7 @@ def shifted(
     )
 
 
-def _moved(base: NodeMotion, shift: SlotOffset, period_s: float) -> NodeMotion:
+def _shifted_motion(base: NodeMotion, shift: SlotOffset, period_s: float) -> NodeMotion:
     """A motion and a shift that begins at rest."""
     place, velocity = base.eta[:, :3] + shift.place_m, base.velocity[:, :3] + shift.rate_mps
     acceleration = base.acceleration[:, :3] + shift.bend_mps2

@@ -137,7 +137,7 @@ def _errors(comparison: Comparison, width_in: float) -> Figure:
     """A panel for each RMS: a row for each variant, with a dot for each flight, their mean and its interval."""
     keys = [c for c in COLUMNS if c.key in ("rms_m", "rms_after_20s_m", "formation_after_20s_m")]
     keys = keys if len(comparison.robots) > 1 else keys[:2]
-    figure, grid = _rows_of(comparison, len(keys), width_in)
+    figure, grid = _axis_rows(comparison, len(keys), width_in)
     for axes, c in zip(grid, keys, strict=True):
         for i, variant in enumerate(comparison.variants):
             values = c.scale * np.maximum(column(variant, c.key), 1e-6)
@@ -161,7 +161,7 @@ def demands(comparison: Comparison) -> PaperFigure:
 
 def _demands(comparison: Comparison, width_in: float) -> Figure:
     """Bars for each variant: the share of steps in which more was wanted than the limits allow, and the change per step."""
-    figure, (left, right) = _rows_of(comparison, 2, width_in, TOP_IN)
+    figure, (left, right) = _axis_rows(comparison, 2, width_in, TOP_IN)
     beyond_limits = (("wanted_too_large", "too large", -0.2, COLOURS[1]), ("wanted_too_fast", "too fast", 0.2, COLOURS[4]))
     for i, variant in enumerate(comparison.variants):
         for key, name, shift, tone in beyond_limits:
@@ -185,7 +185,7 @@ def _bars(interval: Interval) -> list[list[float]] | None:
     return [[max(interval.value - interval.low, 0.0)], [max(interval.high - interval.value, 0.0)]]  # of equal values: rounding
 
 
-def _rows_of(comparison: Comparison, count: int, width_in: float, top_in: float = 0.15) -> tuple[Figure, Sequence[Axes]]:
+def _axis_rows(comparison: Comparison, count: int, width_in: float, top_in: float = 0.15) -> tuple[Figure, Sequence[Axes]]:
     """A figure whose axes share a row per variant; on one column's width one below the other."""
     rows, names = len(comparison.variants), [variant.name for variant in comparison.variants]
     down, across = (1, count) if width_in == WIDTH_IN else (count, 1)
@@ -243,10 +243,10 @@ def _course(comparison: Comparison, width_in: float) -> Figure:
 def wanted(comparison: Comparison) -> PaperFigure | None:
     """Surge of the robot that wanted most, per law: wanted (thin) and applied, with the limit."""
     traced_variants = [(v, t) for v, t in _traced(comparison) if "-without-" not in v.name and not v.name.startswith("mpc-")]
-    return PaperFigure(partial(_wanted, comparison, traced_variants)) if traced_variants else None
+    return PaperFigure(partial(_surge_figure, comparison, traced_variants)) if traced_variants else None
 
 
-def _wanted(comparison: Comparison, traced_variants: Sequence[tuple[Variant, Traces]], width_in: float) -> Figure:
+def _surge_figure(comparison: Comparison, traced_variants: Sequence[tuple[Variant, Traces]], width_in: float) -> Figure:
     """Surge that was wanted and applied over time, of each variant's robot that wanted most."""
     panels = []
     for _, traces in traced_variants:

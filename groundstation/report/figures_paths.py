@@ -164,7 +164,7 @@ def _snapshots(series: Series) -> range:
 
 
 def _extent(series: Series) -> tuple[Array, Array]:
-    """Corners of what is worth showing: the pool, or what lies around the paths when the pool is far larger."""
+    """Corners of the part to show: the pool, or the surroundings of the paths when the pool is far larger."""
     points = np.vstack([np.vstack([r.truth[:, :2], r.reference[:, :2]]) for r in series.robots.values()])
     half = np.array(series.experiment.pool.size_m[:2]) / 2.0
     room = 2.0 * series.experiment.vehicle.radius_m

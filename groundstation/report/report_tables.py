@@ -102,7 +102,7 @@ def _figure_of(part: str, name: str) -> Callable[[Row], Any]:
 
 
 def _robots() -> Iterator[_Part]:
-    """Columns of what only a robot has: yaw against its command, error of its disturbance, control steps."""
+    """Columns that only robots have, not pairs: yaw against its command, error of the disturbance, control steps."""
     yield _Part(
         Group("yaw, RMS [deg]", ("whole run", "after 20 s")),
         lambda r: [Cell(deg(r.rms_yaw_command_rad)), Cell(deg(r.rms_yaw_command_after_20s_rad))],

@@ -47,15 +47,15 @@ def announced(endpoint: Endpoint, fleet: str, experiment: str, bus: Bus) -> Iter
     standing = RunningStation(beside(endpoint).address, fleet, experiment, os.getpid())
     name = f"{os.getpid()}-{secrets.token_hex(4)}"  # containers share folders, and count processes each for themselves
     with ExitStack() as places:
-        doors = sum([_stand(places, folder / name, standing, bus) for folder in user_folders(make=True)])
+        doors = sum([_offer_station(places, folder / name, standing, bus) for folder in user_folders(make=True)])
         if not doors:
             log.warning("no door for this machine: terminals find this station by --station only")
         yield
 
 
-def _stand(places: ExitStack, path: Path, standing: RunningStation, bus: Bus) -> bool:
+def _offer_station(places: ExitStack, path: Path, standing: RunningStation, bus: Bus) -> bool:
     """Open a socket for requests (own_door.py), and write the file by which terminals find the station, in one folder. Both
-    are removed when `places` ends. Returns True if there is a socket."""
+    are removed when `places` ends. Returns True if the socket could be opened."""
     door_path, file_path, new_path = (path.with_suffix(suffix) for suffix in (".sock", ".json", ".new"))
     has_door = False
     try:
@@ -76,7 +76,8 @@ def _stand(places: ExitStack, path: Path, standing: RunningStation, bus: Bus) ->
 
 
 def running() -> list[RunningStation]:
-    """Every station of this user on this machine. Removes what stations that are gone have left."""
+    """Every station of this user on this machine. A running station keeps its file locked; files and sockets of stations that
+    have ended are removed."""
     stations: dict[str, RunningStation] = {}
     for path in sorted(file for folder in user_folders() for file in folder.glob("*.json")):
         with suppress(OSError, ValueError, TypeError, RecursionError, ConfigError), _opened(path) as file:
@@ -84,11 +85,11 @@ def running() -> list[RunningStation]:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
-                other = stations.get(path.name) or _read(file.read(LARGEST_BYTES))
+                other = stations.get(path.name) or _read_station_file(file.read(LARGEST_BYTES))
                 stations[path.name] = replace(other, doors=(*other.doors, *([door] if door.is_socket() else [])))
             else:
-                for left in (path, door):
-                    left.unlink(missing_ok=True)
+                for abandoned in (path, door):
+                    abandoned.unlink(missing_ok=True)
     return list(stations.values())
 
 
@@ -97,7 +98,7 @@ def _opened(path: Path) -> IO[str]:
     return open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), encoding="utf-8")  # noqa: PTH123
 
 
-def _read(text: str) -> RunningStation:
+def _read_station_file(text: str) -> RunningStation:
     """The station that a file tells of. Raises ValueError, TypeError or ConfigError for any other text."""
     station = RunningStation(**json.loads(text))
     if not all(isinstance(part, str) for part in (station.endpoint, station.fleet, station.experiment)):

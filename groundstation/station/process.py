@@ -136,8 +136,8 @@ def cycles(
 
 
 def _conclude(station: Station, server: WebServer | None, stop: Stop, run_dir: Path) -> None:
-    """End the run at a person's Ctrl-C, tell of robots that are left with power, and mark the run's folder if a page is open:
-    then that is shown the ended run next."""
+    """End the run at a person's Ctrl-C, warn of robots that are left with power, and mark the run's folder if a page is open:
+    it is to show the ended run next."""
     if stop.interrupted:
         station.core.ended = True
     left = [str(robot) for robot, view in station.views.items() if may_have_power(view)]

@@ -18,15 +18,15 @@ from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.mission import ATTENDED, Mission
-from groundstation.mission.objections import LIVE, objection
+from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.state_machine import READY, MissionState, in_words, rejection_reason
+from groundstation.mission.state_machine import READY, MissionState, in_words
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
-from groundstation.web.backend import Status
+from groundstation.web.backend import ALWAYS, Status, Validity
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import HELD_UP, Bus
 from shoal.bus.command_deduplication import ALWAYS_TAKEN
@@ -288,26 +288,25 @@ class Station:
     def on_operator_command(self, header: Header, command: Command) -> Reply:
         """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A TUNE without gains
         goes back to the gains before the last change."""
-        until_s = math.inf if command.order in ALWAYS_TAKEN else time.monotonic() + command.time_to_live_s
+        valid = ALWAYS if command.order in ALWAYS_TAKEN else Validity(time.monotonic() + command.time_to_live_s)
         if command.about and command.order is CommandKind.NONE:
             outcome = self.requests.outcome(command.about)
             reason = "" if outcome is not None else f"request {command.about} is not known here (any more)"
             return Reply(WHOLE_FLEET, outcome is not None, reason, outcome=outcome)
         if command.tuning is not None and command.order is CommandKind.TUNE:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
-            reason, number = self.request_gains(keys or None, False, until_s)
+            reason, number = self.request_gains(keys or None, False, valid)
         else:
             via = [(x, y) for x, y in command.via.tolist()]
-            reason, number = self.request(command.order, via, command.robot, command.text, until_s)
+            reason, number = self.request(command.order, via, command.robot, command.text, valid)
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
     @contextmanager
-    def _turn(self, until_s: float) -> Iterator[str]:
-        """Hold the lock for a request whose sender waits until `until_s` (s, monotonic). Yields the reason to refuse it, or
-        nothing."""
+    def _turn(self, valid: Validity) -> Iterator[str]:
+        """Hold the lock for a request. Yields the reason for which its turn came too late, or nothing."""
         with self.lock:
-            yield HELD_UP if time.monotonic() > until_s else ""
+            yield HELD_UP if time.monotonic() > valid.until_s else OVERTAKEN if self.asked_s > valid.asked_s else ""
 
     def request(
         self,
@@ -315,16 +314,14 @@ class Station:
         via: Sequence[tuple[float, float]] = (),
         only: int = WHOLE_FLEET,
         text: str = "",
-        until_s: float = math.inf,
-        asked_s: float = math.inf,
+        valid: Validity = ALWAYS,
     ) -> tuple[str, int]:
-        """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. It is not done
-        after `until_s` (s, monotonic), nor if another has been made since `asked_s`. Returns the reason of a refusal, or
-        nothing, and the request's number."""
+        """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
+        of a refusal, or nothing, and the request's number."""
         if order is CommandKind.FAULT:
             return self._fault(text)
-        with self._turn(until_s) as reason:
-            number, reason = 0, reason or (OVERTAKEN if self.asked_s > asked_s else "")
+        with self._turn(valid) as reason:
+            number = 0
             if not reason:
                 reason, number = self.core.request(order, self.fleet(), self.clock.now_ns(), via, only, text)
             self.asked_s = time.monotonic()
@@ -359,20 +356,13 @@ class Station:
         """Plan another form of the formation, or another experiment's path, without flying it. Raises PlanError with the
         reason for which it cannot be."""
         with self.lock:
-            mission = self.mission
-            context = mission.request_context(order, self.views, text=text)
-            reason = rejection_reason(order, mission.state) or objection(order, context)
-            if reason:
-                raise PlanError(reason)
-            other = context.other_flight if order is CommandKind.PATH else None
-            make = mission.plans.draft(text, other, self.views, self.clock.now_ns(), mission.state)
+            make = self.mission.draft(order, text, self.views, self.clock.now_ns())
         until_s = time.monotonic() + DRAFT_S
         return make(lambda: time.monotonic() > until_s)
 
-    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
-        """Take a person's newest velocity for one robot, not after `until_s` (s, monotonic). Returns the reason of a refusal,
-        or nothing."""
-        with self._turn(until_s) as reason:
+    def drive(self, robot: int, velocity: DriveVelocity, valid: Validity = ALWAYS) -> str:
+        """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
+        with self._turn(valid) as reason:
             return reason or self.core.drive(robot, velocity, self.fleet(), self.clock.now_ns())
 
     def come_to_rest(self) -> bool:
@@ -389,10 +379,10 @@ class Station:
         """True while a robot that is heard may put out thrust."""
         return any(view.heard and view.mode in LIVE for view in self.views.values())
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
-        """Change the fleet's gains; None: go back to those before. Not after `until_s` (s, monotonic). Returns the reason of a
-        refusal, or nothing, and the number."""
-        with self._turn(until_s) as reason:
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, valid: Validity = ALWAYS) -> tuple[str, int]:
+        """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
+        number."""
+        with self._turn(valid) as reason:
             number = 0
             if not reason:
                 reason, number = self.core.request_gains(values, next_lap, self.fleet(), self.clock.now_ns())
@@ -407,13 +397,13 @@ class Station:
         status of the last call."""
         if self.lock.acquire(timeout=STATUS_WITHIN_S):
             try:
-                self._status = self._stand()
+                self._status = self._status_reply()
             finally:
                 self.lock.release()
         return replace(self._status, beat_age_s=time.monotonic() - self.beat_s)
 
-    def _stand(self) -> Status:
-        """The station's status, as page and terminals are told it."""
+    def _status_reply(self) -> Status:
+        """The station's status, for the page and terminals."""
         mission = self.mission
         return Status(
             state=mission.state,

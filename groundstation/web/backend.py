@@ -57,6 +57,18 @@ class ShownPicture:
     time_s: float | None = None
 
 
+@dataclass(frozen=True)
+class Validity:
+    """Bounds of a request, as instants (s, monotonic): it is not done after `until_s`, nor if another request has been made
+    since `asked_s`."""
+
+    until_s: float = math.inf
+    asked_s: float = math.inf
+
+
+ALWAYS = Validity()
+
+
 class OperatorRequests(Protocol):
     """Requests for the whole fleet, or for the robot `only`. Each returns the reason of a refusal, or nothing, and the
     request's number."""
@@ -67,20 +79,18 @@ class OperatorRequests(Protocol):
         via: Sequence[tuple[float, float]] = (),
         only: int = WHOLE_FLEET,
         text: str = "",
-        until_s: float = math.inf,
-        asked_s: float = math.inf,
+        valid: Validity = ALWAYS,
     ) -> tuple[str, int]:
-        """It is not done after `until_s` (s, monotonic), nor if another request has been made since `asked_s`."""
+        """Ask for an order; `via`: places of a GO, `text`: what a FORMATION, PATH or FAULT is about."""
 
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         """Plan another form, or another experiment's path, without flying it. Raises PlanError."""
 
-    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
-        """Move one robot at a velocity; it holds when none comes any more. It is not done after `until_s` (s, monotonic).
-        Returns the reason of a refusal, or nothing."""
+    def drive(self, robot: int, velocity: DriveVelocity, valid: Validity = ALWAYS) -> str:
+        """Move one robot at a velocity; it holds when none comes any more. Returns the reason of a refusal, or nothing."""
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
-        """Change gains; None: go back to those before. It is not done after `until_s` (s, monotonic)."""
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, valid: Validity = ALWAYS) -> tuple[str, int]:
+        """Change gains; None: go back to those before."""
 
 
 class StationApi(OperatorRequests, Protocol):

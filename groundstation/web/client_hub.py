@@ -6,13 +6,12 @@ Frames to a page: u32 number, f32 round trip of the last one in ms, then a Messa
 
 import asyncio
 import contextlib
-import math
 import struct
 import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import msgspec
@@ -20,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
-from groundstation.web.backend import Backend
+from groundstation.web.backend import ALWAYS, Backend, Validity
 from groundstation.web.experiment_editor import attempt, drafted, flight_text, loadable, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
@@ -151,16 +150,16 @@ class ClientHub:
             threads.shutdown(wait=False, cancel_futures=True)
 
     async def pump(self) -> None:
-        """Look at the source for ever, and offer what is new to every watcher. Whatever goes wrong is told in the log, and
-        tried again at the next look: pages that hear nothing say so."""
-        told_s, took_s = 0.0, 0.0
+        """Offer what is new in the source to every page, for ever. A failure goes into the log, and the next look tries again:
+        a page that receives nothing says so itself."""
+        offered_s, took_s = 0.0, 0.0  # when the state was offered last, and how long that took
         while True:
             try:
-                self._look()
+                self._offer_news()
                 now_s = time.monotonic()
-                rested = now_s - told_s >= took_s / MOST_SHARE
-                if rested and ((self._watchers and self._source.changed()) or now_s - told_s >= AT_LEAST_S):
-                    told_s = now_s
+                may_offer = now_s - offered_s >= took_s / MOST_SHARE  # so that pages take no more than a share of the time
+                if may_offer and ((self._watchers and self._source.changed()) or now_s - offered_s >= AT_LEAST_S):
+                    offered_s = now_s
                     self.offer_state()
                     took_s = time.monotonic() - now_s
             except Exception as error:
@@ -173,7 +172,8 @@ class ClientHub:
             self._complained_s = now_s
             log.error("page: nothing new is shown: %s: %s", type(error).__name__, error)
 
-    def _look(self) -> None:
+    def _offer_news(self) -> None:
+        """Offer what the backend has that is new to every page: log lines, the robots' paths, and pictures."""
         for note in self._source.notes():
             self._history.append(packed(note))
             self._each(lambda w: w.window.note(self._history[-1]))
@@ -260,7 +260,7 @@ class ClientHub:
     async def _greet(self, websocket: WebSocket, watcher: Client, greeting: dict[str, Any]) -> None:
         """Send a page its greeting, with what the disk has for it, and then all that comes. A disk that hangs keeps no page
         from stopping the fleet, not this one either; and none from a run that is flown, which goes on without it."""
-        reading = asyncio.create_task(self._at(self._files, lambda _: NO_FILES, self._files_of_run))
+        reading = asyncio.create_task(self._in_thread(self._files, lambda _: NO_FILES, self._files_of_run))
         scene = greeting["scene"]
         await asyncio.wait({reading}, timeout=None if scene["mode"] == "replay" else FILES_WITHIN_S)
         scene |= reading.result() if reading.done() else NO_FILES
@@ -289,8 +289,8 @@ class ClientHub:
         return message if isinstance(message, protocol.Hello) else None
 
     def _replace(self, watcher: Client) -> None:
-        """A page that comes back over another connection keeps the control that it had: the one before it is dead, and does
-        not know it yet."""
+        """Give a page that comes back over another connection the control that it had: its earlier connection is dead, and
+        does not know it yet."""
         for before in list(self._watchers.values()):
             if watcher.page and before.page == watcher.page:
                 if self._lease.holder == before.id:
@@ -312,9 +312,9 @@ class ClientHub:
                 await websocket.close(BAD_REQUEST, str(error).encode()[:REASON_BYTES].decode(errors="ignore"))
                 return
             self._lease.note_life(watcher.id, time.monotonic())
-            self._take(watcher, request)
+            self._act_on(watcher, request)
 
-    def _take(self, watcher: Client, request: protocol.Request) -> None:
+    def _act_on(self, watcher: Client, request: protocol.Request) -> None:
         """Act on one message of a page."""
         now_s = time.monotonic()
         if isinstance(request, protocol.Ack):
@@ -358,12 +358,15 @@ class ClientHub:
         self._tasks.add(task)  # a task without a reference may vanish
         task.add_done_callback(self._tasks.discard)
 
-    def _may_command(self, watcher: Client) -> str:
+    def _control_refusal(self, watcher: Client) -> str:
+        """Reason for which a page may not command the fleet; empty if it may."""
         if self._lease.holder == watcher.id:
             return ""
         return "another page has control" if self._lease.holder else "take control first"
 
-    async def _at(self, threads: ThreadPoolExecutor, failed: Callable[[str], T], do: Callable[..., T], *arguments: Any) -> T:
+    async def _in_thread(
+        self, threads: ThreadPoolExecutor, failed: Callable[[str], T], do: Callable[..., T], *arguments: Any
+    ) -> T:
         """Result of work in a thread; where it raises, what `failed` makes of the reason: the page waits for an answer."""
         try:
             return await asyncio.get_running_loop().run_in_executor(threads, do, *arguments)
@@ -372,16 +375,16 @@ class ClientHub:
             log.error("page: a request %s", reason, exc_info=error)
             return failed(reason)
 
-    async def _in_turn(self, objection: Callable[[], str], failed: Callable[[str], T], do: Callable[[], T]) -> T:
-        """Result of an order in the one thread of orders; judged again when its turn has come, for those before it may have
-        taken long."""
+    async def _run_order(self, objection: Callable[[], str], failed: Callable[[str], T], do: Callable[[], T]) -> T:
+        """Result of an order in the one thread of orders, or what `failed` makes of an objection. The objection is asked for
+        again when the order's turn comes, for those before it may have taken long."""
 
         def judged() -> T:
             reason = objection()
             return failed(reason) if reason else do()
 
         reason = objection()
-        return failed(reason) if reason else await self._at(self._orders, failed, judged)
+        return failed(reason) if reason else await self._in_thread(self._orders, failed, judged)
 
     async def _follow(self, watcher: Client, kind: type[protocol.Request]) -> None:
         """Deal with the newest request of a kind, and again while newer ones come; those in between are passed over."""
@@ -396,7 +399,7 @@ class ClientHub:
         finally:
             watcher.busy.discard(kind)
 
-    def _void(self, seen_ms: int, valid_s: float) -> str:
+    def _lateness_refusal(self, seen_ms: int, valid_s: float) -> str:
         """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
         late_s = _age_s(seen_ms)
         if late_s < -1.0:  # a page that was open when this computer started anew, and has seen nothing of this station
@@ -406,31 +409,31 @@ class ClientHub:
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
         """Make a page's request of the station, and answer the page. Any page may stop the fleet, however late it comes."""
         order, station = order_named(request.order), self._source.station
-        until_s = math.inf if order in ALWAYS_TAKEN else _until_s(request.seen_ms, ORDER_VALID_S)
+        valid = ALWAYS if order in ALWAYS_TAKEN else _validity(request.seen_ms, ORDER_VALID_S)
 
         def objection() -> str:
-            late = "" if order in ALWAYS_TAKEN else self._void(request.seen_ms, ORDER_VALID_S)
-            return self._may_command(watcher) or late
+            late = "" if order in ALWAYS_TAKEN else self._lateness_refusal(request.seen_ms, ORDER_VALID_S)
+            return self._control_refusal(watcher) or late
 
         if order is CommandKind.STOP:
-            reason, number = await self._at(self._stops, _refused, station.request, order)
+            reason, number = await self._in_thread(self._stops, _refused, station.request, order)
         elif order is CommandKind.PATH:
-            reason, number = await self._request_path(request, objection, until_s)
+            reason, number = await self._request_path(request, objection, valid)
         else:
-            reason, number = await self._in_turn(
+            reason, number = await self._run_order(
                 objection,
                 _refused,
-                lambda: station.request(order, request.via_m, request.robot, request.text, until_s),
+                lambda: station.request(order, request.via_m, request.robot, request.text, valid),
             )
         self._answer(watcher, request.n, request.order, reason, number)
 
     async def _request_path(
-        self, request: protocol.OrderRequest, objection: Callable[[], str], until_s: float
+        self, request: protocol.OrderRequest, objection: Callable[[], str], valid: Validity
     ) -> tuple[str, int]:
         """Ask the station for another path. A disk that hangs keeps no other order waiting: the path has its turn, is read
         beside the orders, and is flown only if no request has been made since its turn."""
         path, station = CommandKind.PATH, self._source.station
-        reason, asked_s = await self._in_turn(objection, lambda why: (why, 0.0), lambda: ("", time.monotonic()))
+        reason, asked_s = await self._run_order(objection, lambda why: (why, 0.0), lambda: ("", time.monotonic()))
         if reason:
             return reason, 0
 
@@ -440,28 +443,29 @@ class ClientHub:
             except ConfigError as error:
                 return str(error), ""
 
-        reason, text = await self._at(self._files, lambda why: (why, ""), read)
+        reason, text = await self._in_thread(self._files, lambda why: (why, ""), read)
         if reason:
             return reason, 0
-        return await self._in_turn(objection, _refused, lambda: station.request(path, (), WHOLE_FLEET, text, until_s, asked_s))
+        valid = replace(valid, asked_s=asked_s)
+        return await self._run_order(objection, _refused, lambda: station.request(path, (), WHOLE_FLEET, text, valid))
 
     async def _drive(self, watcher: Client, drive: protocol.DriveRequest) -> None:
         """Tell the station a velocity. The page hears of refusals alone."""
         velocity = DriveVelocity(drive.surge_mps, drive.heave_mps, drive.yaw_rate_radps)
-        reason = await self._in_turn(
-            lambda: self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S),
+        reason = await self._run_order(
+            lambda: self._control_refusal(watcher) or self._lateness_refusal(drive.seen_ms, DRIVE_VALID_S),
             str,
-            lambda: self._source.station.drive(drive.robot, velocity, _until_s(drive.seen_ms, DRIVE_VALID_S)),
+            lambda: self._source.station.drive(drive.robot, velocity, _validity(drive.seen_ms, DRIVE_VALID_S)),
         )
         if reason:
             watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:
-        reason, number = await self._in_turn(
-            lambda: self._may_command(watcher) or self._void(request.seen_ms, ORDER_VALID_S),
+        reason, number = await self._run_order(
+            lambda: self._control_refusal(watcher) or self._lateness_refusal(request.seen_ms, ORDER_VALID_S),
             _refused,
             lambda: self._source.station.request_gains(
-                request.values, request.next_lap, _until_s(request.seen_ms, ORDER_VALID_S)
+                request.values, request.next_lap, _validity(request.seen_ms, ORDER_VALID_S)
             ),
         )
         self._answer(watcher, request.n, "tune", reason, number)
@@ -478,43 +482,45 @@ class ClientHub:
             self._complain(error)
 
     async def _attempt(self, watcher: Client, tried: protocol.PreviewEdit) -> None:
-        judged = await self._at(self._plans, _unfit, attempt, self._source.experiment, tried.edit)
+        judged = await self._in_thread(self._plans, _unfit, attempt, self._source.experiment, tried.edit)
         watcher.answer({"k": "tried", "n": tried.n} | judged)
 
     async def _preview_flight(self, watcher: Client, request: protocol.PreviewFlight) -> None:
         order, station = order_named(request.order), self._source.station
-        answer = await self._at(self._plans, _unfit, drafted, self._source.experiment, order, request.text, station.draft)
+        answer = await self._in_thread(
+            self._plans, _unfit, drafted, self._source.experiment, order, request.text, station.draft
+        )
         watcher.answer({"k": "drafted", "n": request.n} | answer)
 
     async def _save(self, watcher: Client, request: protocol.Save) -> None:
-        reason = self._may_command(watcher)
+        reason = self._control_refusal(watcher)
         done = (
             _unfit(reason)
             if reason
-            else await self._at(self._plans, _unfit, save, self._source.experiment, request.edit, request.name)
+            else await self._in_thread(self._plans, _unfit, save, self._source.experiment, request.edit, request.name)
         )
         watcher.answer({"k": "saved", "n": request.n} | done)
 
     async def _choose(self, watcher: Client, request: protocol.AfterRun) -> None:
-        reason = self._may_command(watcher)
+        reason = self._control_refusal(watcher)
         problems = (
             [reason]
             if reason
-            else await self._at(self._plans, lambda why: [why], self._source.choose, request.what, request.edit)
+            else await self._in_thread(self._plans, lambda why: [why], self._source.choose, request.what, request.edit)
         )
         watcher.answer({"k": "chosen", "n": request.n, "problems": problems})
 
     async def _answer_of_runs(self, watcher: Client, request: protocol.OfRuns) -> None:
         """The list of runs, after the change that was asked for. Pages that watch may look."""
-        desk, reason = self._desk, self._may_command(watcher)
+        desk, reason = self._desk, self._control_refusal(watcher)
         if isinstance(request, protocol.ListRuns):
-            answer = await self._at(self._runs, desk.empty_listing, desk.listing)
+            answer = await self._in_thread(self._runs, desk.empty_listing, desk.listing)
         elif reason:
-            answer = await self._at(self._runs, desk.empty_listing, desk.listing, reason)
+            answer = await self._in_thread(self._runs, desk.empty_listing, desk.listing, reason)
         elif isinstance(request, protocol.LabelRun):
-            answer = await self._at(self._runs, desk.empty_listing, desk.label, request.run, request.name, request.tags)
+            answer = await self._in_thread(self._runs, desk.empty_listing, desk.label, request.run, request.name, request.tags)
         else:
-            answer = await self._at(self._runs, desk.empty_listing, desk.delete, request.run)
+            answer = await self._in_thread(self._runs, desk.empty_listing, desk.delete, request.run)
         watcher.answer(answer)
 
 
@@ -523,9 +529,9 @@ def _age_s(seen_ms: int) -> float:
     return (request_clock_ns() - seen_ms * 1_000_000) * 1e-9
 
 
-def _until_s(seen_ms: int, valid_s: float) -> float:
-    """Instant (s, monotonic) until which a request counts, by what its page has seen."""
-    return time.monotonic() + valid_s - _age_s(seen_ms)
+def _validity(seen_ms: int, valid_s: float) -> Validity:
+    """Bounds of a request by what its page has seen."""
+    return Validity(time.monotonic() + valid_s - _age_s(seen_ms))
 
 
 def _refused(reason: str) -> tuple[str, int]:

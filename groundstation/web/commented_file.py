@@ -32,7 +32,8 @@ def commented(experiment: Experiment) -> str:
 
 
 def _other_keys(one: Any, other: Any, name: str) -> Iterator[str]:
-    """Dotted keys in which two tables differ, with those of the tables that hold them; of a list no place is told."""
+    """Dotted keys whose values differ between two tables, and the keys of the tables around them; for a list, no places in
+    it."""
     if one == other:
         return
     yield name
@@ -66,7 +67,7 @@ def _lines(section: Section, name: str, needed: Set[str], commented_keys: set[st
 
 
 def _different(section: Section, name: str, needed: Set[str]) -> dict[str, Any]:
-    """The values that a file has to tell, with the `needed` ones."""
+    """The values that a file has to give, with the `needed` ones."""
     values = {}
     for key, field in type(section).model_fields.items():
         value = getattr(section, key)

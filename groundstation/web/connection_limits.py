@@ -1,8 +1,7 @@
 """SHELL: connections that are no pages yet: each has to ask for something soon, and no address may hold many.
 
-A browser sends its request with the connection, and its few requests are answered within a second. Whoever opens connections
-and says nothing, or asks and never takes the answer, keeps no place that a page needs: from one address the oldest goes when
-one too many comes.
+A browser sends its request with the connection, and its few requests are answered within a second. A connection that sends
+no request, or does not take the answer, is aborted after a time; an address with too many connections loses its oldest.
 """
 
 import asyncio
@@ -42,47 +41,47 @@ class ConnectionLimiter:
         oldest.transport.abort()
 
 
-def http_class(crowd: ConnectionLimiter) -> type[H11Protocol]:
-    """uvicorn's protocol for a connection, with an end to its patience."""
+def http_class(limiter: ConnectionLimiter) -> type[H11Protocol]:
+    """uvicorn's protocol class for a connection, which aborts one that neither asks nor takes its answer in time."""
 
-    class Patient(H11Protocol):
+    class LimitedConnection(H11Protocol):
         _deadline: asyncio.TimerHandle | None = None
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
-            self._wait(ASKS_WITHIN_S)
-            crowd.join(self, self.client[0] if self.client else "")
+            self._expect_within(ASKS_WITHIN_S)
+            limiter.join(self, self.client[0] if self.client else "")
 
         def handle_events(self) -> None:
             cycle = self.cycle
             super().handle_events()
             if self.cycle is not cycle:
-                self._wait(TAKES_WITHIN_S)
+                self._expect_within(TAKES_WITHIN_S)
 
         def on_response_complete(self) -> None:
             super().on_response_complete()
-            self._wait(ASKS_WITHIN_S)
+            self._expect_within(ASKS_WITHIN_S)
 
         def handle_websocket_upgrade(self, event: Any) -> None:
-            self._gone()
+            self._leave()
             super().handle_websocket_upgrade(event)
 
         def connection_lost(self, exc: Exception | None) -> None:
-            self._gone()
+            self._leave()
             super().connection_lost(exc)
 
-        def _wait(self, within_s: float) -> None:
+        def _expect_within(self, within_s: float) -> None:
             if self._deadline is not None:
                 self._deadline.cancel()
-            self._deadline = self.loop.call_later(within_s, self._give_up)
+            self._deadline = self.loop.call_later(within_s, self._abort)
 
-        def _give_up(self) -> None:
+        def _abort(self) -> None:
             if self.transport is not None:
                 self.transport.abort()
 
-        def _gone(self) -> None:
+        def _leave(self) -> None:
             if self._deadline is not None:
                 self._deadline.cancel()
-            crowd.leave(self)
+            limiter.leave(self)
 
-    return Patient
+    return LimitedConnection

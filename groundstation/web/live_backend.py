@@ -182,16 +182,16 @@ class LiveBackend:
                 event = decode(Event, payload, f"session {header.session:x}", topics.EVENT.name)
             except DecodeError:
                 continue
-            notes.append(event_note(event, self._told_ns(at_ns, header)))
+            notes.append(event_note(event, self._event_ns(at_ns, header)))
         return notes
 
     def _clocks_settle(self) -> bool:
         """True just after the start, when lines of an earlier run may come before the state that shows their robot's clock."""
         return not self._clock.waits and 0 <= self._clock.now_ns() - self._begun_ns < SETTLE_NS
 
-    def _told_ns(self, arrived_ns: int, header: Header) -> int:
-        """Instant at which a line of a log was written, on our clock. A robot keeps its lines, and tells a station that starts
-        those of an earlier run, too: by its clock, as its newest state shows it, they are old."""
+    def _event_ns(self, arrived_ns: int, header: Header) -> int:
+        """Instant at which a line of a log was written, on our clock. A robot keeps its lines, and sends those of an earlier
+        run to a station that starts. Its newest state shows its clock, and by that they are old."""
         for inbox in self._inboxes.states.values():
             state = inbox.newest()
             if state is not None and state.header.session == header.session:

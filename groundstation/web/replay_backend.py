@@ -14,13 +14,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundstation.formation_clock import FormationPlans
-from groundstation.logs.reader import open_log
+from groundstation.logs.reader import LogMessage, open_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
-from groundstation.web.backend import ShownPicture
+from groundstation.web.backend import ALWAYS, ShownPicture, Validity
 from groundstation.web.experiment_editor import attempt, edited
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
@@ -199,22 +199,31 @@ class LogPlayer:
         return map(self._block, range(index, max(index - LINK_BLOCKS, -1), -1))
 
     def events(self) -> list[dict[str, Any]]:
-        """Lines of the run's log, for the page: a line that its robot has kept from before at its own time."""
-        notes, leads_ns = list[dict[str, Any]](), dict[int, int]()  # by session of a robot: how much it is ahead
+        """Lines of the run's log, for the page."""
+        notes: list[dict[str, Any]] = []
+        leads_ns: dict[int, int] = {}
         for line in self._log.messages(lambda topic, _: topic is topics.EVENT):
             event = _read(Event, line.payload)
-            if event is None:
-                continue
-            session, arrived_ns = line.header.session, line.arrived_ns - self.start_ns
-            index = arrived_ns // BLOCK_NS + 1  # lines that were kept come with the robot's first state
-            if session not in leads_ns:
-                near_ns = [block.ahead_ns[session] for block in self._before(index) if session in block.robots]
-                leads_ns |= {session: min(near_ns)} if near_ns else {}
-            written_ns = line.header.stamp_ns + leads_ns.get(session, arrived_ns - line.header.stamp_ns)
-            if session_clocks.is_old_line(written_ns, arrived_ns):  # or the clock was set meanwhile
-                written_ns = self._instant_ns(line.header, arrived_ns, index)
-            notes.append(event_note(event, written_ns if session_clocks.is_old_line(written_ns, arrived_ns) else arrived_ns))
+            if event is not None:
+                notes.append(event_note(event, self._event_ns(line, leads_ns)))
         return notes
+
+    def _event_ns(self, line: LogMessage, leads_ns: dict[int, int]) -> int:
+        """Instant of an event: its arrival, or the instant at which its robot wrote it if the robot has kept it since.
+
+        `leads_ns` holds by how much the log's clock is ahead of a robot's, by the robot's session; missing ones are added.
+        """
+        session, arrived_ns = line.header.session, line.arrived_ns - self.start_ns
+        index = arrived_ns // BLOCK_NS + 1  # lines that were kept come with the robot's first state
+        if session not in leads_ns:
+            nearby_ns = [block.ahead_ns[session] for block in self._before(index) if session in block.robots]
+            if not nearby_ns:
+                return arrived_ns
+            leads_ns[session] = min(nearby_ns)
+        written_ns = line.header.stamp_ns + leads_ns[session]
+        if session_clocks.is_old_line(written_ns, arrived_ns):  # unless the robot's clock was set meanwhile
+            written_ns = self._instant_ns(line.header, arrived_ns, index)
+        return written_ns if session_clocks.is_old_line(written_ns, arrived_ns) else arrived_ns
 
     def past(self) -> list[dict[str, Any]]:
         """Rows of the whole run, evenly spaced."""
@@ -287,18 +296,17 @@ class _NoRequests:
         via: Sequence[tuple[float, float]] = (),
         only: int = WHOLE_FLEET,
         text: str = "",
-        until_s: float = math.inf,
-        asked_s: float = math.inf,
+        valid: Validity = ALWAYS,
     ) -> tuple[str, int]:
         return "this is a recorded run", 0
 
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError("this is a recorded run")
 
-    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
+    def drive(self, robot: int, velocity: DriveVelocity, valid: Validity = ALWAYS) -> str:
         return "this is a recorded run"
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, valid: Validity = ALWAYS) -> tuple[str, int]:
         return "this is a recorded run", 0
 
 

@@ -172,7 +172,7 @@ def ellipse(covariance: Array) -> tuple[float, float, float]:
 
 
 def _tuning(tuning: GainStatus | None, laps: Sequence[Lap]) -> dict[str, Any] | None:
-    """The values are in the order of the scene's knobs, as they are: what is sent back must be what was."""
+    """Gains in the order of the scene's knobs, unrounded: a page that sends a value back must send the same value."""
     if tuning is None:
         return None
     return {

@@ -82,7 +82,7 @@ def sharpness(grey: Pixels) -> float:
 
 
 def _sharp_frames(path: Path, every: int, left_out: dict[str, str]) -> Iterator[tuple[str, Pixels]]:
-    """Frames of a video: of each `every` the one with the most contrast between neighbouring pixels."""
+    """The sharpest frame of each `every` frames of a video: the one with the most contrast between neighbouring pixels."""
     sharpest, best, group = -1.0, None, 0
     with closing(VideoReader(path)) as video:
         for picture in video.pictures():

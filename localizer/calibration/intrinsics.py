@@ -73,9 +73,10 @@ class IntrinsicsFit:
 
 
 def distinct_views(views: Sequence[TargetView]) -> tuple[list[TargetView], list[tuple[TargetView, TargetView]]]:
-    """The views without those that repeat an earlier one, and these, each with the one that it repeats.
+    """The views without repetitions; and each repetition, with the earlier view that it repeats.
 
-    A repeated view adds nothing but confidence: its errors are the same once more."""
+    A repeated view adds nothing but confidence: its errors are the same once more.
+    """
     kept, repeated = list[TargetView](), list[tuple[TargetView, TargetView]]()
     for view in views:
         same = next((one for one in kept if _is_same(one, view)), None)

@@ -79,11 +79,13 @@ class Charuco:
         self._detector = cv2.aruco.CharucoDetector(board)
 
     def find(self, grey: Pixels, name: str) -> TargetView | None:
+        """The corners that are seen; None if they are few, or lie so near to one line that they constrain no lens."""
         corners, ids, _, _ = self._detector.detectBoard(grey)
         if ids is None or len(ids) < FEWEST_CORNERS:
             return None
         pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-        if np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] < _LEAST_PX * np.sqrt(len(pixels)):
+        width_px = np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(pixels))  # RMS
+        if width_px < _LEAST_PX:
             return None
         return TargetView(name, self._corners_m[np.asarray(ids).ravel()], pixels)
 

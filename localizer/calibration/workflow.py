@@ -134,7 +134,7 @@ def _earlier(out: Path) -> dict[str, Any]:
 
 
 def _check_same_size(out: Path, earlier: dict[str, Any], size_px: tuple[int, int]) -> None:
-    """Refuse to mix what was marked in pictures of one size with a lens for another."""
+    """Refuse points marked in pictures of one size together with a lens for another."""
     given = earlier.get("size_px")
     held = given if isinstance(given, list) else ["?"]
     if earlier and tuple(held) != size_px:
@@ -213,7 +213,7 @@ def _points_image(request: CalibrationRequest, points: SurveyFile | None) -> Pat
 
 
 def _read_lens(request: CalibrationRequest, earlier: dict[str, Any]) -> Camera:
-    """The lens of a file, with what an earlier file at the output's place holds beside it."""
+    """The lens of a file, with the other sections of an earlier file at the output's place."""
     assert request.lens is not None
     camera = read_toml(request.lens).get("camera", {})
     if not isinstance(camera, dict):

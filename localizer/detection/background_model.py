@@ -108,7 +108,7 @@ class BackgroundModel:
         return np.asarray(np.sqrt(np.maximum(squared, np.float32(0.0))) * self.is_known)
 
     def learn(self, colours: Planes, distance: Planes, where: Mask, step_s: float) -> None:
-        """Take in `colours` at the cells of `where`. `distance` is the one that was found for them."""
+        """Take in `colours` at the cells of `where`, with the `distance` that was measured for them."""
         is_known = self.is_known
         self._seen_s[where] += np.float32(step_s)
         rate = where * (np.float32(step_s) / np.clip(self._seen_s, np.float32(step_s), np.float32(MEMORY_S)))

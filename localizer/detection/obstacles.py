@@ -116,8 +116,8 @@ class ObstacleDetector:
         return self._message(share, stamp_ns)
 
     def begun_anew(self, stamp_ns: int) -> "tuple[ObstacleDetector, Obstacles]":
-        """A detector that learns the water anew, after an error in this one, and its message: blind, with the obstacles that
-        this one has told of."""
+        """A new detector that learns the water again, after an error in this one; and its message: blind, with the obstacles
+        that this one reported last."""
         detector = ObstacleDetector(self._experiment)
         detector._remembered, detector._blind_reason = (*self._remembered, *self._reported), _FAILED
         detector._tracker = self._tracker  # whose numbers go on
@@ -127,8 +127,8 @@ class ObstacleDetector:
     # --- in the order of `step`
 
     def _robots(self, robots_m: Array) -> tuple[Mask, Mask]:
-        """Masks of the cells that may show a robot, and of those on whose floor its shadow may lie, with lamps anywhere
-        above."""
+        """Masks of the cells that may show a robot, and of the cells where its shadow may lie on the floor, wherever the lamps
+        hang."""
         hidden, shaded = (np.zeros(self._in_pool.shape, np.uint8) for _ in range(2))
         if len(robots_m):
             reach = self._robot_reach_m

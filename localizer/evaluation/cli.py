@@ -100,13 +100,12 @@ def evaluate(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A video, or a run's log (run.mcap).")],
     truth: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="idTracker's text for a plain video; with --experiment a CSV of poses per frame."),
+        typer.Option(metavar="FILE", help="True poses in a video: a CSV with a line for each frame and robot."),
     ] = None,
     experiment: Annotated[
-        str | None, typer.Option(metavar="EXPERIMENT", help="The video shows this experiment's pool: localize in metres.")
+        str | None, typer.Option(metavar="EXPERIMENT", help="The experiment whose pool a video shows.")
     ] = None,
-    marker: Annotated[bool, typer.Option(help="Read markers (with --experiment).")] = True,
-    box: Annotated[float, typer.Option(min=8, help="Side of a plain video's target, pixels.", callback=finite)] = 64.0,
+    marker: Annotated[bool, typer.Option(help="Read markers in a video.")] = True,
     frames: Annotated[int | None, typer.Option(min=2, help="Look at the first so many only.")] = None,
     json: JsonFile = None,
     camera: CameraName = "",
@@ -115,7 +114,6 @@ def evaluate(
     """Print a table of the localizer's errors against a known truth. Exit code 1 if the recording is not whole.
 
     Examples:  localizer evaluate runs/pool-20260101-120000/run.mcap
-    localizer evaluate mouse.mp4 --truth mouse_idtracked.txt --frames 3000
     localizer evaluate pool.mkv --truth poses.csv --experiment lab.toml --no-marker
     """
     import cv2
@@ -129,14 +127,10 @@ def evaluate(
         check_output(json, [*read, *([experiment_path(experiment)] if experiment is not None else [])])
     cv2.setNumThreads(1)  # as `run`
 
-    rows: runner.Rows
-    damage = ""
     if recording.suffix == ".mcap":
         rows, damage = runner.evaluate_log(recording)
-    elif truth is None:
-        raise ConfigError(f"{recording}: no log (a run's is RUN/run.mcap), and a video needs --truth FILE")
-    elif experiment is None:
-        rows, damage = runner.evaluate_plain(recording, truth, box, frames)
+    elif truth is None or experiment is None:
+        raise ConfigError(f"{recording}: no log (a run's is RUN/run.mcap), and a video needs --truth FILE and --experiment")
     else:
         changed = [*(settings or ()), f"localizer.markers={str(marker).lower()}"]
         loaded = with_camera(load_experiment(experiment, changed), camera)

@@ -15,22 +15,6 @@ _COMPONENTS = 3  # of an error: x, y, yaw
 
 
 @dataclass(frozen=True)
-class PixelRow:
-    """One target followed in a plain video. A failure is an error of more than half the box; the tracker is then started
-    anew."""
-
-    subject: str
-    frames: int  # with a known place
-    median_px: float
-    p95_px: float
-    max_px: float
-    failures: int
-    failures_per_1000: float
-    median_ms: float
-    p95_ms: float
-
-
-@dataclass(frozen=True)
 class PoseRow:
     """Errors of a group of poses.
 
@@ -98,17 +82,6 @@ class _PoseError:
     error: Array
     nees: float
     swapped: bool
-
-
-def pixel_row(subject: str, errors_px: Sequence[float], failures: int, times_ms: Sequence[float]) -> PixelRow:
-    """A row from the errors of all frames, failures included."""
-    errors, times = np.array(errors_px), np.array(times_ms)
-    return PixelRow(
-        subject, len(errors),
-        float(np.median(errors)), float(np.quantile(errors, 0.95)), float(np.max(errors)),
-        failures, 1e3 * failures / len(errors),
-        float(np.median(times)), float(np.quantile(times, 0.95)),
-    )  # fmt: skip
 
 
 def pose_rows(poses: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTrajectory]) -> list[PoseRow]:

@@ -129,7 +129,7 @@ class PoseTable:
         # What is there stays there: a run that is killed loses no more than the rows of a frame.
         with os_errors_as_config_errors(self._part), self._part.open("a", encoding="utf-8", newline="") as file:
             self._claim(file)
-            kept, frame_count = _kept(self._part)
+            kept, frame_count = _complete_lines(self._part)
             self.rows = max(kept.count("\n") - 1, 0)
             file.truncate(len(kept.encode()))
             table = csv.writer(file, lineterminator="\n")
@@ -189,7 +189,7 @@ def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...
     )  # fmt: skip
 
 
-def _kept(part: Path) -> tuple[str, int]:
+def _complete_lines(part: Path) -> tuple[str, int]:
     """The lines of a table before its last frame, whose rows may not all be there, and that frame's number."""
     with os_errors_as_config_errors(part), open_regular(part) as file:
         header, *lines = file.read().decode("ascii", "replace").splitlines(keepends=True) or [""]

@@ -1,7 +1,6 @@
 """SHELL: `localizer evaluate`: tables of errors from a recording and its truth.
 
-Three kinds of recordings. A run's log holds poses and the plant's truth. A video of an experiment's pool is localized
-again, with all of the localizer. A plain video of an unknown camera is followed in pixels.
+A run's log holds poses and the plant's truth. A video of an experiment's pool is localized again, with all of the localizer.
 """
 
 import csv
@@ -9,7 +8,6 @@ import dataclasses
 import io
 import json
 import math
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -17,17 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from localizer.detection.image_regions import Pixels
-from localizer.evaluation.metrics import (
-    GroundTruthTrajectory,
-    PixelRow,
-    PoseRow,
-    PublishedPose,
-    camera_rows,
-    pixel_row,
-    pose_rows,
-)
-from localizer.evaluation.single_object import SingleObjectTracker
+from localizer.evaluation.metrics import GroundTruthTrajectory, PoseRow, PublishedPose, camera_rows, pose_rows
 from localizer.sources.base import as_bayer
 from localizer.sources.video import VideoReader
 from localizer.tracking.fleet_localizer import FleetLocalizer
@@ -45,8 +33,6 @@ from shoal.system.regular_files import open_regular
 _READ = (topics.TRUTH.name, topics.LOCALIZER.name, "/pose")
 
 COLUMNS = ("frame", "robot", "x_m", "y_m", "yaw_rad")  # of `read_poses`
-
-Rows = Sequence[PixelRow] | Sequence[PoseRow]
 
 
 def table(rows: Sequence[Any]) -> str:
@@ -72,19 +58,6 @@ def _cell(value: Any) -> str:
 
 
 # --- files of the truth
-
-
-def read_idtracker(path: Path) -> list[Array]:
-    """Places (frames, 2) in pixels of each target of idTracker's text: a line of names, then X, Y and a probability per
-    target and frame. Its first pixel is 1; ours is 0. Unknown places are NaN."""
-    try:
-        with open_regular(path) as file:
-            columns = np.loadtxt(file, skiprows=1, ndmin=2)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}") from None
-    if columns.shape[1] < 2:
-        raise ConfigError(f"{path}: {columns.shape[1]} column, idTracker writes X, Y and a probability per target")
-    return [columns[:, first : first + 2] - 1.0 for first in range(0, columns.shape[1] - 1, 3)]
 
 
 def read_poses(
@@ -128,14 +101,14 @@ def read_frame_table(
                 if len(cells) != len(names):
                     raise ConfigError(f"{where}: {len(cells)} values, but the first line has {len(names)} names")
                 line = dict(zip(names, cells, strict=True))
-                frame, robot = (_whole(f"{where}, column {name}", line[name]) for name in COLUMNS[:2])
-                value = {name: _number(f"{where}, column {name}", line.get(name, "")) for name in (*needed[2:], *allowed)}
+                frame, robot = (_cell_count(f"{where}, column {name}", line[name]) for name in COLUMNS[:2])
+                value = {name: _cell_number(f"{where}, column {name}", line.get(name, "")) for name in (*needed[2:], *allowed)}
                 yield frame, experiment.robot(robot).id, {name: v for name, v in value.items() if math.isfinite(v)}
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _number(where: str, cell: str) -> float:
+def _cell_number(where: str, cell: str) -> float:
     """The number of a cell; NaN for an empty one."""
     try:
         return float(cell) if cell.strip() else math.nan
@@ -143,9 +116,9 @@ def _number(where: str, cell: str) -> float:
         raise ConfigError(f"{where}: {cell!r} is no number (allowed: a number; empty or nan for what is not known)") from None
 
 
-def _whole(where: str, cell: str) -> int:
+def _cell_count(where: str, cell: str) -> int:
     """The whole number, from 0, of a cell."""
-    value = _number(where, cell)
+    value = _cell_number(where, cell)
     if not (value >= 0 and value.is_integer()):
         raise ConfigError(f"{where}: {cell!r} must be a whole number (allowed: 0, 1, 2, ...)")
     return int(value)
@@ -216,61 +189,6 @@ def _records(path: Path, damage: list[str]) -> Iterator[RecordedMessage]:
 
 
 # --- videos
-
-
-class _Target:
-    """One target of a plain video, with its true places (frames, 2) px, and the errors of following it."""
-
-    def __init__(self, number: int, places_px: Array, box_px: float) -> None:
-        self.number = number
-        self._places_px, self._box_px = places_px, box_px
-        self._follower: SingleObjectTracker | None = None
-        self._errors_px: list[float] = []
-        self._times_ms: list[float] = []
-        self._failures = 0
-
-    def step(self, frame: int, picture: Pixels) -> None:
-        """Follow the target into the next picture. Farther off than half the box is a failure: the tracker starts anew at
-        the truth. So it does, but not as a failure, where the truth itself leaps as far, or comes back from a gap there."""
-        place = self._places_px[frame]
-        is_known = bool(np.all(np.isfinite(place)))
-        reach_px = self._box_px / 2.0
-        if self._follower is None:
-            self._follower = SingleObjectTracker(picture, place, self._box_px) if is_known else None
-            return
-        started = time.perf_counter()
-        pose, _ = self._follower.step(picture)
-        self._times_ms.append(1e3 * (time.perf_counter() - started))
-        if not is_known:
-            return
-        error_px = float(np.linalg.norm(pose[:2] - place))
-        has_lost_it = error_px > reach_px
-        truth_is_steady = bool(np.linalg.norm(place - self._places_px[frame - 1]) <= reach_px)  # False if that was not known
-        if truth_is_steady or not has_lost_it:
-            self._errors_px.append(error_px)
-            self._failures += has_lost_it
-        if has_lost_it:
-            self._follower = SingleObjectTracker(picture, place, self._box_px)
-
-    def row(self, truth: Path) -> PixelRow:
-        """The figures. Raises ConfigError if the target was never seen twice."""
-        if not self._errors_px:
-            raise ConfigError(f"{truth}: target {self.number} is nowhere in the video")
-        return pixel_row(f"target {self.number}", self._errors_px, self._failures, self._times_ms)
-
-
-def evaluate_plain(path: Path, truth: Path, box_px: float, limit: int | None) -> tuple[list[PixelRow], str]:
-    """Follow each target of an idTracker file from its first known place on, all in one pass through the video. Returns rows,
-    and a sentence if pictures are missing."""
-    places = read_idtracker(truth)
-    targets = [_Target(number, places_px, box_px) for number, places_px in enumerate(places, start=1)]
-    frames = min(len(places[0]), limit) if limit is not None else len(places[0])
-    with closing(VideoReader(path)) as video:
-        for picture in video.pictures(frames):
-            for target in targets:
-                target.step(picture.number, picture.pixels)
-        damage = video.damage(frames) or _beyond(truth, frames, len(video.stamps_ns))
-        return [target.row(truth) for target in targets], damage
 
 
 def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | None) -> tuple[list[PoseRow], str]:

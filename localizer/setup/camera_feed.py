@@ -25,7 +25,7 @@ class CameraFeed:
 
     def next(self, last_number: int) -> tuple[int, bytes] | None:
         """The newest picture as JPEG and its number, as soon as it is not number `last_number`; the same one again after a
-        second. None when told to stop. Encoded once, for whoever asks first."""
+        second. None at the program's end. Each picture is encoded once, for all pages."""
         with self._news:
             self._news.wait_for(lambda: self._stop.requested or self._number != last_number, _AGAIN_S)
             number = self._number

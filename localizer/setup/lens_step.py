@@ -40,7 +40,7 @@ class LensStep:
     """The views of one board at one size of picture."""
 
     def __init__(self, board: str, lens: Intrinsics) -> None:
-        """`lens`: a guess, by which tilts are told. Raises ConfigError for what is no board."""
+        """`lens`: an assumed lens, from which tilts are computed. Raises ConfigError if `board` describes no board."""
         self.board, self._target, self._lens = board, parse_target(board), lens
         self.views: list[TargetView] = []
         self.postures: list[BoardPosture] = []

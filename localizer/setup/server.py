@@ -51,7 +51,7 @@ class SetupServer:
             Route("/", self._index),
             Route("/live", self._live),
             Route("/state", self._state),
-            Route("/do", self._do, methods=["POST"]),
+            Route("/do", self._answer_request, methods=["POST"]),
             Mount("/", StaticFiles(directory=STATIC)),
         ]
         server = LocalServer(routes, self._options, self._socket, stop, _LONGEST_REQUEST)
@@ -78,7 +78,7 @@ class SetupServer:
         self._pages = {page: at_s for page, at_s in self._pages.items() if now_s - at_s < _PAGE_GONE_S}
         return JSONResponse(self._session.state(len(self._pages)) | {"streams": self._stream.has_viewer(page)})
 
-    async def _do(self, request: Request) -> Response:
+    async def _answer_request(self, request: Request) -> Response:
         """Do what the page asks for, in a thread. The reply holds a problem or what was found."""
         if not self._allowed(request):
             return _refused()

@@ -37,7 +37,7 @@ DEFAULT_BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
 _JPEG_QUALITY = 80  # 200 kB at 1280 x 960; corners in the magnifier stay clean
 _GUESSED_FOCAL = 0.8  # of the picture's width: a lens of 64 degrees, by which tilts of a board are told until one is found
 _ASK_AGAIN_S = 2.0  # s
-_RATE_SHARE = 0.1  # of a new interval in the mean that the rate is told from
+_RATE_WEIGHT = 0.1  # of a new interval in the running mean that gives the rate
 
 
 @dataclass(eq=False)
@@ -66,7 +66,7 @@ class SetupSession:
         self._figures: PictureFigures | None = None
         self._captured: CapturedFrame | None = None
         self._grey: Pixels | None = None
-        self._interval_s, self.trouble = 0.0, "waiting for the first picture"
+        self._mean_interval_s, self.trouble = 0.0, "waiting for the first picture"
         self._board = DEFAULT_BOARD
         self._works: dict[tuple[int, int], CameraWork] = {}
         self._work = self._work_at(experiment.camera.size_px)
@@ -99,12 +99,12 @@ class SetupSession:
     # --- from the camera's thread and the board's
 
     def take(self, captured: CapturedFrame, interval_s: float) -> None:
-        """The newest frame, so long after the one before."""
+        """Take in the newest frame, which came `interval_s` after the previous one: keep it, and judge it."""
         grey = np.asarray(cv2.cvtColor(captured.pixels, BAYER_TO_GREY), dtype=np.uint8)
         height, width = grey.shape
         with self._lock:
-            share = _RATE_SHARE if self._interval_s else 1.0
-            self._interval_s += share * (interval_s - self._interval_s)
+            weight = _RATE_WEIGHT if self._mean_interval_s else 1.0
+            self._mean_interval_s += weight * (interval_s - self._mean_interval_s)
             self._captured, self._grey, self.trouble = captured, grey, ""
             if (width, height) != self._work.size_px:
                 self._resize((width, height))
@@ -161,7 +161,7 @@ class SetupSession:
         with self._lock:
             work, camera = self._work, self._experiment.camera
             dropped = 0 if self._captured is None else self._captured.dropped
-            rate_hz = 1.0 / self._interval_s if self._interval_s else 0.0
+            rate_hz = 1.0 / self._mean_interval_s if self._mean_interval_s else 0.0
             notes = [self._note] if self._note else []
             if pages > 1:
                 notes.append(f"{pages} pages are open: all see and change the same setup")
@@ -215,7 +215,7 @@ class SetupSession:
     # --- what the page asks for
 
     def do(self, name: str, arguments: Mapping[str, Any]) -> Any:
-        """Do what a page asks for; returns what it has to know beside the state. Raises ConfigError."""
+        """Do what a page asks for; returns the answer, which is not part of the state. Raises ConfigError."""
         if name not in self._commands:
             raise ConfigError(f"{name!r}: no such request (allowed: {', '.join(self._commands)})")
         if not _is_finite(arguments):
@@ -350,7 +350,7 @@ class SetupSession:
         if values != self._set:
             results["exposure_s"] = round(self._exposure_s(), 5)
         if results and not self._file.has_camera:
-            rate_hz = float(max(round(1.0 / self._interval_s), 1)) if self._interval_s else before.rate_hz
+            rate_hz = float(max(round(1.0 / self._mean_interval_s), 1)) if self._mean_interval_s else before.rate_hz
             results = {"rate_hz": rate_hz, "exposure_s": round(self._exposure_s(), 5)} | results
         was = before.model_dump(mode="json") if self._file.has_camera else {}
         return {key: value for key, value in significant(results).items() if key not in was or value != was[key]}
@@ -367,8 +367,8 @@ class SetupSession:
         self._take_up_file()
 
     def _take_up_file(self) -> None:
-        """Hold changes against what the file holds now. What the setup did not find is the file's, as somebody else may have
-        written it meanwhile; a pose that was found with another lens than that is dropped."""
+        """Compare changes with the present file. Keys that the setup did not change come from the file, as somebody else may
+        have written them meanwhile; a pose found with another lens than the file's is dropped."""
         with self._lock:
             before, held = self._experiment.camera, self._file.camera
             self._experiment = self._experiment.model_copy(update={"camera": held})

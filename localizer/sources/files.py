@@ -30,7 +30,7 @@ _SETTLED_NS = 100_000_000  # ns; file systems stamp in steps of 4 ms or more, so
 
 
 def sleep_until(clock: Clock, due_ns: int, stop: Stop) -> bool:
-    """Sleep to an instant of the clock; False if told to stop before."""
+    """Sleep to an instant of the clock; False if the program is to stop before."""
     while not stop.requested:
         left_s = (due_ns - clock.now_ns()) * 1e-9
         if left_s <= 0.0:
@@ -165,13 +165,13 @@ class FolderSource:
         self._dropped += late
         path = pending[late]
         del pending[: late + 1]
-        pixels = self._read(path)
+        pixels = self._read_picture(path)
         due_ns = self._pace.release(late, stop) if pixels is not None else None
         if pixels is None or due_ns is None:
             return None
         return CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
 
-    def _read(self, path: Path) -> Pixels | None:
+    def _read_picture(self, path: Path) -> Pixels | None:
         """A picture of a folder; None, with a warning, for a file that holds none."""
         picture = None
         with suppress(OSError):  # taken away, or no file

@@ -82,7 +82,7 @@ class V4l2Controls:
 
 
 def set_all(controls: CameraControls, values: Mapping[str, int]) -> list[str]:
-    """Set what a camera is to be given; returns the reasons of those that it did not take."""
+    """Set a camera's controls; returns the reasons for those that it did not take."""
     refused = []
     for name, value in values.items():
         try:

@@ -55,8 +55,9 @@ class VideoReader:
             raise ConfigError(f"video {path}: no picture can be read")
         self._decoded: list[int] = []  # numbers
         self._numbers_by_stamp = len(set(self._packets_ms)) == len(self._packets_ms)
-        self._constant = self.rate_hz is not None and self._numbers_by_stamp and _is_constant(self._packets_ms, self.rate_hz)
-        self._left_numbers = self._numbers_by_avi_index()  # by packet; empty: as the stamps say
+        has_stamps = self.rate_hz is not None and self._numbers_by_stamp
+        self._is_constant_rate = has_stamps and _is_constant(self._packets_ms, self.rate_hz or 0.0)
+        self._undamaged_numbers = self._numbers_by_avi_index()  # by packet; empty: as the stamps say
         self.stamps_ns = self._stamps_ns()  # by number
 
     @property
@@ -71,7 +72,7 @@ class VideoReader:
             if not self._capture.grab():
                 failures += 1
                 continue
-            number = self._number(number)
+            number = self._picture_number(number)
             if number < at_least:
                 continue
             good, pixels = self._capture.retrieve()
@@ -89,14 +90,14 @@ class VideoReader:
             raise ConfigError(f"video {self._path}: no picture can be decoded")
 
     def damage(self, limit: int | None = None) -> str:
-        """A sentence about pictures that the file should hold and that did not come, of those below `limit`, or ""."""
+        """A sentence about pictures below `limit` that the file should hold and that were not read; "" if there are none."""
         count = len(self.stamps_ns) if limit is None else min(limit, len(self.stamps_ns))
         missing = sorted(set(range(count)) - set(self._decoded))
         if not missing:
             short_s = self._cut_s() if limit is None else 0.0
             return f"video {self._path}: ends {short_s:.1f} s too early" if short_s else ""
         text = f"video {self._path}: {len(missing)} of {count} pictures cannot be read: {number_ranges(missing)}"
-        if self._lost_without_trace and not self._left_numbers:
+        if self._lost_without_trace and not self._undamaged_numbers:
             text += "; it was cut off there" + (
                 ", or has lost pictures in between, and later numbers and stamps are too low" if self._is_avi else ""
             )
@@ -109,7 +110,7 @@ class VideoReader:
     def _lost_without_trace(self) -> bool:
         """True if packets are gone and the stamps of the others do not say which ones."""
         has_gap = round(self._packets_ms[-1] * 1e-3 * (self.rate_hz or 0.0)) + 1 > len(self._packets_ms)
-        return self._constant and len(self._packets_ms) < self._listed and not has_gap
+        return self._is_constant_rate and len(self._packets_ms) < self._listed and not has_gap
 
     @property
     def _is_avi(self) -> bool:
@@ -126,30 +127,31 @@ class VideoReader:
 
     def _cut_s(self) -> float:
         """Time by which a video of varying rate ends before the duration that it states; 0 if it does not, by much."""
-        if self._constant or self.rate_hz is None or len(self._packets_ms) < 2:
+        if self._is_constant_rate or self.rate_hz is None or len(self._packets_ms) < 2:
             return 0.0
         short_s = self._listed / self.rate_hz - self._packets_ms[-1] * 1e-3
         return short_s if short_s > _LONGEST_END * 1e-3 * float(np.diff(self._packets_ms).max()) else 0.0
 
     def _stamps_ns(self) -> list[int]:
         """Times of the pictures from the first: the container's where they fit, else by the constant rate."""
-        if not self._constant and self._numbers_by_stamp:
+        if not self._is_constant_rate and self._numbers_by_stamp:
             return [round(1e6 * (stamp_ms - self._packets_ms[0])) for stamp_ms in self._packets_ms]
         if self.rate_hz is None:
             raise ConfigError(f"video {self._path}: has neither stamps nor a frame rate (convert it to one that has)")
         count = max(len(self._packets_ms), self._listed)
-        if self._constant:
+        if self._is_constant_rate:
             count = max(count, round(self._packets_ms[-1] * 1e-3 * self.rate_hz) + 1)
         if count > max(len(self._packets_ms), _MOST_LISTED):
             raise ConfigError(f"video {self._path}: {len(self._packets_ms)} pictures, and stamps for {count} (convert it)")
         return [round(1e9 * number / self.rate_hz) for number in range(count)]
 
-    def _number(self, last: int) -> int:
-        """Number of the picture that was grabbed after the one with number `last`."""
+    def _picture_number(self, last: int) -> int:
+        """Number of the picture just grabbed, by its stamp if stamps can be used; `last` is the number of the one before."""
         stamp_ms = self._capture.get(cv2.CAP_PROP_POS_MSEC)
-        if self._constant:
+        if self._is_constant_rate:
             number = round(stamp_ms * 1e-3 * (self.rate_hz or 0.0))
-            number = self._left_numbers[number] if number < len(self._left_numbers) else number
+            if number < len(self._undamaged_numbers):  # FFmpeg stamps a damaged AVI by counting what is left
+                number = self._undamaged_numbers[number]
         elif self._numbers_by_stamp:
             number = bisect.bisect_left(self._packets_ms, stamp_ms - 1e-3)
         else:
@@ -216,7 +218,8 @@ def _avi_chunks_left(path: Path, listed: int) -> list[int]:
 
 
 def _avi_index(file: IO[bytes]) -> tuple[list[tuple[bytes, int]], int]:
-    """Name and offset of each picture's chunk, and where the offsets count from. Raises struct.error for what is no AVI."""
+    """Name and offset of each picture's chunk, and the place from which offsets count. Raises struct.error for a file that is
+    no AVI."""
     movie_at, at = 0, 12
     while True:
         file.seek(at)

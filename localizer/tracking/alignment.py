@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shoal.kernels.decorator import kernel
-from shoal.kernels.types import Floats, SingleCube, SingleTable, Table
+from shoal.kernels.types import Floats, Ints, SingleCube, SingleTable, Table
 
 _ROUNDS = 7  # Gauss-Newton iterations; a correlation is off by less than a sample, and the last two move a tenth of one
 _BORDER = 3  # samples at the patch's edge that are left out: a shift may move that far
@@ -62,19 +62,40 @@ class _Totals(NamedTuple):
     squares: float
 
 
+@kernel(inline=True, part=True)
+def _between_samples(channel: SingleTable, left: int, top: int, u: float, v: float) -> float:
+    """Bilinear value of a channel at the shares u and v of the way from the sample (left, top) to the next ones."""
+    above = channel[top, left] * (1.0 - u) + channel[top, left + 1] * u
+    below = channel[top + 1, left] * (1.0 - u) + channel[top + 1, left + 1] * u
+    return float(above * (1.0 - v) + below * v)
+
+
+@kernel(inline=True, part=True)
+def _add_residual(sums: _Sums, slope: Floats, unknown: Ints, weight: float, residual: float) -> None:
+    """Add a residual to the normal equations: its derivative `slope` by each `unknown` that it depends on, in order."""
+    for i in range(len(slope)):
+        scaled = weight * slope[i]
+        sums.right[unknown[i]] -= scaled * residual
+        for j in range(i + 1):
+            sums.normal[unknown[i], unknown[j]] += scaled * slope[j]
+
+
 @kernel(part=True)
 def _linearise(
     learnt: SingleCube, patch: SingleCube, weights: SingleTable, solution: Floats, scale: float, sums: _Sums
 ) -> _Totals:
-    """Set `sums` to those of all points at a solution, with residuals weighted by a scale in grey levels.
+    """Set `sums` to those of all points p at a solution, with residuals weighted by a scale s in grey levels.
 
     Unknowns: shift ahead, shift to starboard, rotation, slopes of brightness; then each channel's gain, each one's offset.
+
+        r = patch(R p + t) - (gain + slope p) learnt(p) - offset        w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2
+        dr/dt = gain R g        dr/drotation = dr/dt x R p        g: gradient of learnt at p
     """
     channels, n = learnt.shape[0], learnt.shape[1]
     middle = n // 2
     size = (n + _BLOCKS - 1) // _BLOCKS
     slope = np.empty(_SHARED + 2)  # of a point's residual, by the unknowns that it depends on
-    index = np.arange(_SHARED + 2)  # of those unknowns
+    unknown = np.arange(_SHARED + 2)  # those unknowns; the last two, gain and offset, change with the channel
     sums.normal[:, :] = 0.0
     sums.right[:] = 0.0
     sums.histogram[:] = 0.0
@@ -83,59 +104,50 @@ def _linearise(
     points = 0.0
     total_weight = 0.0
     squares = 0.0
-    c = math.cos(solution[2])
-    s = math.sin(solution[2])
+    cos = math.cos(solution[2])
+    sin = math.sin(solution[2])
     for row in range(_BORDER, n - _BORDER):
         for column in range(_BORDER + (row + _BORDER) % 2, n - _BORDER, 2):
             template_weight = min(
                 weights[row, column], weights[row - 1, column], weights[row + 1, column], weights[row, column - 1],
                 weights[row, column + 1],
             )  # fmt: skip
-            ahead = float(column - middle)
+            ahead = float(column - middle)  # p
             side = float(row - middle)
-            u = middle + solution[0] + c * ahead - s * side
-            v = middle + solution[1] + s * ahead + c * side
+            u = middle + solution[0] + cos * ahead - sin * side  # R p + t
+            v = middle + solution[1] + sin * ahead + cos * side
             left = math.floor(u)
             top = math.floor(v)
             if template_weight <= 0.0 or left < 0 or top < 0 or left > n - 2 or top > n - 2:
                 continue
-            fu = u - left
-            fv = v - top
             block = row // size * _BLOCKS + column // size
             for k in range(channels):
-                above = patch[k, top, left] * (1.0 - fu) + patch[k, top, left + 1] * fu
-                below = patch[k, top + 1, left] * (1.0 - fu) + patch[k, top + 1, left + 1] * fu
                 gx = 0.5 * (learnt[k, row, column + 1] - learnt[k, row, column - 1])
                 gy = 0.5 * (learnt[k, row + 1, column] - learnt[k, row - 1, column])
+                texture = gx * gx + gy * gy
                 level = float(learnt[k, row, column])
                 gain = solution[_SHARED + k] + (solution[3] * ahead + solution[4] * side) / middle
-                residual = above * (1.0 - fv) + below * fv - gain * level - solution[_SHARED + channels + k]
-                edge = _EDGE_ERROR * _EDGE_ERROR * (gx * gx + gy * gy)
+                offset = solution[_SHARED + channels + k]
+                residual = _between_samples(patch[k], left, top, u - left, v - top) - gain * level - offset
+                edge = _EDGE_ERROR * _EDGE_ERROR * texture
                 root = 1.0 / (1.0 + residual * residual / (_REJECTS_AT * _REJECTS_AT * (scale * scale + edge)))
                 weight = template_weight * root * root
-                sums.histogram[min(int(abs(residual)), 255)] += 1.0
                 points += 1.0
-                sums.texture[block] += template_weight * (gx * gx + gy * gy)
-                sums.recognised[block] += weight * (gx * gx + gy * gy)
                 total_weight += weight
                 squares += weight * residual * residual
-                # d patch(R p + t) by shift is the gradient turned with the patch; by rotation, that times the turned lever
-                px = gain * (c * gx - s * gy)
-                py = gain * (s * gx + c * gy)
-                slope[0] = px
-                slope[1] = py
-                slope[2] = px * (middle + solution[1] - v) + py * (u - middle - solution[0])
+                sums.histogram[min(int(abs(residual)), 255)] += 1.0
+                sums.texture[block] += template_weight * texture
+                sums.recognised[block] += weight * texture
+                slope[0] = gain * (cos * gx - sin * gy)
+                slope[1] = gain * (sin * gx + cos * gy)
+                slope[2] = slope[0] * (middle + solution[1] - v) + slope[1] * (u - middle - solution[0])
                 slope[3] = -level * ahead / middle
                 slope[4] = -level * side / middle
                 slope[5] = -level
                 slope[6] = -1.0
-                index[5] = _SHARED + k
-                index[6] = _SHARED + channels + k
-                for i in range(_SHARED + 2):
-                    scaled = weight * slope[i]
-                    sums.right[index[i]] -= scaled * residual
-                    for j in range(i + 1):
-                        sums.normal[index[i], index[j]] += scaled * slope[j]
+                unknown[5] = _SHARED + k
+                unknown[6] = _SHARED + channels + k
+                _add_residual(sums, slope, unknown, weight, residual)
     return _Totals(points, total_weight, squares)
 
 

@@ -253,7 +253,8 @@ class CameraFusion:
         doubts: Sequence[str],
         poses: Sequence[tuple[int, Pose]],
     ) -> LocalizerStatus:
-        """One status for all cameras, with a sentence for each that is out, of which so many are `unwell`, or in trouble."""
+        """One status for all cameras, with a sentence for each that is out. `unwell`: number of cameras that are out or in
+        trouble."""
         statuses = [view.status for view in views.values()]
         bad = [status.camera for status in statuses if status.camera is not CameraHealth.OK]
         lost = [str(robot) for robot, pose in poses if pose.track is Track.LOST]

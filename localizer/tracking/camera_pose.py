@@ -102,7 +102,7 @@ class CameraPoseTracker:
     def update(self, frame: Pixels) -> None:
         """Estimate the pose from a picture (height, width)."""
         self._frames += 1
-        corners = self._read(frame)
+        corners = self._read_landmarks(frame)
         if corners is None:
             return
         self._agreeing = len(corners)
@@ -124,12 +124,14 @@ class CameraPoseTracker:
         moved = np.zeros((len(tangents), 3, 6))
         here = self.view.pixel_to_pool(pixels, depths)
         for k, step in enumerate(_STEP * np.eye(6)):
-            moved[:, :2, k] = (RefractiveCamera(_moved(self.pose.camera, step)).pixel_to_pool(pixels, depths) - here) / _STEP
+            moved[:, :2, k] = (
+                RefractiveCamera(_moved_camera(self.pose.camera, step)).pixel_to_pool(pixels, depths) - here
+            ) / _STEP
         moved[:, 2, 3:] = -self.view.down  # a camera turned about the vertical sees every heading turned back
         drift = (self._age_s * np.array([_DRIFT_MPS, _DRIFT_MPS, _DRIFT_RADPS])) ** 2
         return np.asarray(moved @ self.pose.covariance @ np.swapaxes(moved, 1, 2) + np.diag(drift))
 
-    def _read(self, frame: Pixels) -> dict[int, Array] | None:
+    def _read_landmarks(self, frame: Pixels) -> dict[int, Array] | None:
         """Corners (4, 2) px of the landmarks seen, by index, in a fixed order; None in frames without an attempt."""
         if not self.usable:
             return self._pick(frame, scan=True) if self._frames % _SCAN_EVERY == 1 else None
@@ -151,7 +153,7 @@ def corners_of(landmark: Landmark) -> Array:
     return np.column_stack([flat, np.full(4, landmark.position_m[2])])
 
 
-def _moved(camera: Camera, step: Array) -> Camera:
+def _moved_camera(camera: Camera, step: Array) -> Camera:
     """The camera moved by `step` (6,): a displacement in the pool frame, and a small rotation in the camera's own."""
     turn = np.asarray(cv2.Rodrigues(step[3:])[0]) @ np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0])
     position = np.array(camera.position_m) + step[:3]
@@ -172,13 +174,13 @@ def fit_camera_pose(camera: Camera, places: Array, pixels: Array) -> tuple[Camer
             return CameraPoseEstimate(camera, np.full((6, 6), np.inf)), np.full(pixels.shape, np.inf)
         if np.max(np.abs(move)) > _SAME_SLOPES:
             for k, step in enumerate(_STEP * np.eye(6)):
-                slope[..., k] = (RefractiveCamera(_moved(camera, step)).pool_to_pixel(places) - measurement) / _STEP
+                slope[..., k] = (RefractiveCamera(_moved_camera(camera, step)).pool_to_pixel(places) - measurement) / _STEP
         residuals = pixels - measurement
         weight = 1.0 / (1.0 + np.sum(residuals**2, axis=2) / _WEIGHT_PX**2)
         weighted = slope * weight[..., None, None]
         normal = np.tensordot(weighted, slope, axes=((0, 1, 2), (0, 1, 2)))
         move = np.linalg.solve(normal, np.tensordot(weighted, residuals, axes=((0, 1, 2), (0, 1, 2))))
-        camera = _moved(camera, move)
+        camera = _moved_camera(camera, move)
         if np.max(np.abs(move)) < _SETTLED:
             break
     shifts = residuals.mean(axis=1)  # of whole landmarks; corners are all found 0.3 px inside, which cancels

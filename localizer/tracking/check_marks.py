@@ -85,10 +85,10 @@ class CheckedCameraPose(FixedCameraPose):
         lost = sum(bool(readings) and readings[-1] is None for readings in self._readings)
         if 2 * lost <= len(self._ids):
             half_px = np.linalg.norm(self._expected_px[turn] - self._expected_px[turn].mean(axis=0), axis=1).max()
-            self._read([turn], cut(frame, self._places_px[turn], float(half_px) + REACH_PX))
+            self._read_marks([turn], cut(frame, self._places_px[turn], float(half_px) + REACH_PX))
             self._searched = False
         elif turn == 0 or not self._searched:  # as after a hard knock: a look at the whole picture at once, then one a round
-            self._read(range(len(self._ids)), whole(frame))
+            self._read_marks(range(len(self._ids)), whole(frame))
             self._searched = True
         self._early = self._early_covariance(turn)
         last = {k: px for k, readings in enumerate(self._readings) if readings and (px := readings[-1]) is not None}
@@ -123,8 +123,9 @@ class CheckedCameraPose(FixedCameraPose):
         have_moved = np.linalg.norm(shifts_px, axis=1).min() > SHIFTED_PX
         return self._shift_covariance(newest_px) if have_moved and are_alike else np.zeros((3, 3))
 
-    def _read(self, marks: Sequence[int], region: ImageRegion | None) -> None:
-        """Keep what a region of the picture shows of some marks; where there is no region, that they are not seen."""
+    def _read_marks(self, marks: Sequence[int], region: ImageRegion | None) -> None:
+        """Read some marks in a region of the picture, and keep the corners of each; without a region, keep that the marks are
+        not seen."""
         images = [] if region is None else find_markers(self._detector, region)
         corners_by_id = {image.id: image.corners_px for image in images}
         for k in marks:
@@ -183,7 +184,7 @@ class CheckedCameraPose(FixedCameraPose):
         return np.diag([*np.mean(np.square(shifts), axis=0), np.mean(np.square(turns))])
 
     def _motion(self, places: Array, pixels: Array) -> str:
-        """The camera's displacement as far as enough marks tell it, as the end of a sentence."""
+        """The camera's displacement as the end of a sentence, as far as enough marks show it."""
         if len(places) < LANDMARKS_NEEDED:
             return ""
         fitted, residuals_px = fit_camera_pose(self._camera, places, pixels)

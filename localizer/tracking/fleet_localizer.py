@@ -309,7 +309,7 @@ class FleetLocalizer:
             self._tracks[view.robot] = track.with_match(dated, self._settings.min_peak) if clear else track
 
     def _read_leans(self, frame: Pixels, views: Mapping[int, PredictedView]) -> None:
-        """Read the lean of each robot that was measured and whose board has not told its attitude."""
+        """Read the lean of each robot that was measured in this frame and whose board has not reported its attitude."""
         if self._lean_reader is None or not self._reads_leans:
             return
         for i, view in views.items():

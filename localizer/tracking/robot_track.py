@@ -105,16 +105,17 @@ class ProvisionalMatch:
     step: Array | None = None
     count: int = 1
 
-    def continued(self, offset: Array, unseen_s: float, speed_sigma: Array, sigma: Array) -> "ProvisionalMatch":
-        """The claim with one more match, of standard deviations `sigma` (3,); the count begins anew where it moved otherwise
-        than a robot whose velocity is known to `speed_sigma` (3,) [m/s, m/s, rad/s]."""
+    def with_match(self, offset: Array, unseen_s: float, speed_sigma: Array, sigma: Array) -> "ProvisionalMatch":
+        """These matches and one more, of standard deviations `sigma` (3,). Counts from one again if the offset changed by more
+        than an error of the predicted velocity explains, of standard deviations `speed_sigma` (3,) [m/s, m/s, rad/s], or
+        changed unsteadily."""
         step = offset - self.offset
         step[2] = wrap(float(step[2]))
-        steady = np.zeros(3) if self.step is None else step - self.step
-        same_offset = np.maximum(_SAME_OFFSET, _STEADY_SIGMAS * sigma)
-        may = same_offset + (unseen_s - self.unseen_s) * speed_sigma
-        same = bool(np.all(np.abs(step) <= may) and np.all(np.abs(steady) <= same_offset))
-        return ProvisionalMatch(offset, unseen_s, step, self.count + 1) if same else ProvisionalMatch(offset, unseen_s)
+        change_of_step = np.zeros(3) if self.step is None else step - self.step
+        match_error = np.maximum(_SAME_OFFSET, _STEADY_SIGMAS * sigma)
+        most_step = match_error + (unseen_s - self.unseen_s) * speed_sigma
+        is_steady = bool(np.all(np.abs(step) <= most_step) and np.all(np.abs(change_of_step) <= match_error))
+        return ProvisionalMatch(offset, unseen_s, step, self.count + 1) if is_steady else ProvisionalMatch(offset, unseen_s)
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,7 @@ class RobotTrack:
             before = self.match
             first = ProvisionalMatch(offset, self.unseen_s)
             sigma = np.sqrt(np.diag(measurement.covariance))
-            match = first if before is None else before.continued(offset, self.unseen_s, speed_sigma, sigma)
+            match = first if before is None else before.with_match(offset, self.unseen_s, speed_sigma, sigma)
             if match.count < _MATCHES_NEEDED:
                 return replace(matched, match=match)
         return matched._measured(measurement, None if lost else updated, Track.KCF, self.verified, self.claim)

@@ -104,13 +104,13 @@ class PictureStream:
             self._viewers.remove(page)
             self._places.release()
 
-        return _Stream(self._parts(), ended)
+        return _Stream(self._multipart(), ended)
 
     def has_viewer(self, page: str) -> bool:
         """True if a page is being sent the pictures."""
         return page in self._viewers
 
-    def _parts(self) -> Iterator[bytes]:
+    def _multipart(self) -> Iterator[bytes]:
         """Pictures as an endless multipart response (MJPEG)."""
         last_number = 0
         yield f"--{_BOUNDARY}\r\n".encode()

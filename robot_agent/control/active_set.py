@@ -165,7 +165,7 @@ def take_up(a: Table, working: ActiveSet, row: int, sign: int, beyond: float) ->
     """
     x, y, held, mu = working.x, working.multiplier, working.held, working.mu
     n, across, gram_factor, factor = len(x), working.work[0], working.work[2], working.work[3]
-    aside = np.empty(n)
+    aside = np.empty(n)  # w
     while True:
         for i in range(n):
             aside[i] = sign * a[row, i]
@@ -182,20 +182,21 @@ def take_up(a: Table, working: ActiveSet, row: int, sign: int, beyond: float) ->
                 aside[i] -= mu[j] * across[j, i]
         new2 = dot(aside, aside)
         is_new = count < n and new2 > DEPENDENT**2 * length2
-        step, leaves, count = beyond / new2 if is_new else np.inf, -1, 0
+        # t: the row comes to its bound, unless the multiplier of a held row comes to zero before
+        step, leaves, place = beyond / new2 if is_new else np.inf, -1, 0
         for other in range(len(held)):
             if held[other] != 0:
-                fades = held[other] * mu[count]
+                fades = held[other] * mu[place]
                 if fades > 0.0 and abs(y[other]) < step * fades:
                     step, leaves = abs(y[other]) / fades, other
-                count += 1
+                place += 1
         if not step < np.inf:
             return False
-        count = 0
+        place = 0
         for other in range(len(held)):
             if held[other] != 0:
-                y[other] -= step * mu[count]
-                count += 1
+                y[other] -= step * mu[place]
+                place += 1
         y[row] += step * sign
         if is_new:
             beyond -= step * new2

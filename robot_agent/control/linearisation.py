@@ -60,21 +60,25 @@ def make_responses(nodes: int, blocks: int) -> Responses:
 
 @kernel(part=True)
 def respond(model: LinearModel, task: ControlTask, axis: int, number: int, rate: Table) -> None:
-    """Velocity of an axis, the wrench's `number`: w' = (Z - d(w) w) / m + Gamma, linearised around the present one."""
+    """Write the velocity w of an axis at each node into `rate`: its response to each block; in the last column, the free one.
+    `number` is the axis' place in the wrench Z.
+
+        w' = (Z - d(w) w) / m + Gamma    d(w) w linearised around w0: (linear + 2 quadratic |w0|) w - quadratic |w0| w0
+        w[k + 1] = exp(-slope dt) w[k] + (1 - exp(-slope dt)) / slope (the rest of w')
+    """
     m, linear, quadratic = model.coefficients[0, axis], model.coefficients[1, axis], model.coefficients[2, axis]
     w0, dt = task.state[4 + axis], model.period_s
     horizon, free = model.input.shape
     slope = (linear + 2.0 * quadratic * abs(w0)) / m
-    keep = math.exp(-slope * dt)
-    phi_dt = (1.0 - keep) / slope
-    thrust = task.delivered[number] - task.demand[number]
+    decay = math.exp(-slope * dt)
+    phi_dt = (1.0 - decay) / slope
+    lacking = task.delivered[number] - task.demand[number]  # of the wrench
     rate[0, free] = w0
     for k in range(horizon):
         for j in range(free):
-            rate[k + 1, j] = keep * rate[k, j] + phi_dt * model.input[k, j] / m
-        # where quadratic drag's tangent meets zero speed, it pushes
-        push = task.gamma[axis] + (thrust + quadratic * abs(w0) * w0) / m
-        rate[k + 1, free] = keep * rate[k, free] + phi_dt * push
+            rate[k + 1, j] = decay * rate[k, j] + phi_dt * model.input[k, j] / m
+        free_acceleration = task.gamma[axis] + (lacking + quadratic * abs(w0) * w0) / m
+        rate[k + 1, free] = decay * rate[k, free] + phi_dt * free_acceleration
 
 
 @kernel(part=True)

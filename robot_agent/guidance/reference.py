@@ -29,11 +29,12 @@ def interpolate_rows(table: Table, place: Floats, out: Table) -> None:
 def sample_trajectory(
     samples: Cube, begin_s: float, period_s: float, time_s: float, rate: float, waits_s: float, offset_s: Floats, out: Cube
 ) -> None:
-    """Linear interpolation of a trajectory's `samples` (3, n, 4), poses, velocities and accelerations, `period_s` apart from
-    `begin_s` on, at time_s + rate (offset_s - waits_s); before and after it its first and last pose, and at `time_s` until
-    `waits_s` are over, at rest. `out` (3, offsets, 4).
+    """Write poses, velocities and accelerations of a trajectory, `rate` times as fast, at some offsets from now into `out`
+    (3, offsets, 4). Its `samples` (3, n, 4) are `period_s` apart from `begin_s` on, and interpolated linearly.
 
-    The same way at another pace (chain rule): velocities times `rate`, accelerations times its square.
+        time of the trajectory = time_s + rate (offset_s - waits_s)    velocity: times rate    acceleration: times rate^2
+
+    At rest at `time_s` until `waits_s` are over, and at the first and the last pose before and after the trajectory.
     """
     path, path_velocity, path_acceleration = samples[0], samples[1], samples[2]
     eta, velocity, acceleration = out[0], out[1], out[2]

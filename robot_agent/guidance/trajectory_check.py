@@ -14,7 +14,6 @@ from shoal.messages.messages import Trajectory
 
 PERIOD_S = (0.001, 1.0)
 LATEST_S = 1e6  # of the first sample
-AT_SURFACE_M = 1e-6  # a path at depth 0, rounded
 OVER = 1.05  # times a limit: sampled derivatives of a smooth path overshoot by a few percent where a turn begins
 # How far a velocity may be from where the accelerations before and after it lead, m/s and rad/s. A path that sets off or stops
 # all at once leaps by more, from or to rest; planned paths do that at their first and last pose.
@@ -37,12 +36,9 @@ def unflyable(trajectory: Trajectory | None, pool: PoolConfig, vehicle: Vehicle)
     lengths = {len(trajectory.eta), len(trajectory.velocity), len(trajectory.acceleration)}
     if len(lengths) != 1 or min(lengths) < 2:
         return "trajectory: eta, velocity and acceleration must have the same number of samples, at least 2"
-    length_m, width_m, depth_m = pool.size_m
-    inside = np.abs(trajectory.eta[:, :3]) <= [0.5 * length_m, 0.5 * width_m, depth_m]
-    if pool.walls:  # else there is no surface either
-        inside[:, 2] &= trajectory.eta[:, 2] >= -AT_SURFACE_M
+    inside = pool.holds(trajectory.eta[:, :3])
     if not inside.all():
-        return f"trajectory.eta leaves the pool at {_time_s(trajectory, int(np.argmin(inside.all(axis=1)))):.2f} s"
+        return f"trajectory.eta leaves the pool at {_time_s(trajectory, int(np.argmin(inside))):.2f} s"
     return _inconsistent(trajectory) or _too_much(trajectory, vehicle)
 
 

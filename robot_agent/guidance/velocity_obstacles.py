@@ -435,7 +435,8 @@ class GiveWay:
         return within_s
 
     def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
-        """Velocity that avoids the traffic in the way; None if none is."""
+        """Velocity that avoids the traffic which the point would meet on its way; None if it would meet none. The way back is
+        flown without hurry, and a robot that overtakes all that it meets keeps to its reference's pace."""
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
         assert self._point is not None

@@ -64,7 +64,8 @@ class BoardParameters:
         self.objection = _not_known(ParameterList())  # the reason not to arm; nothing is known before the board has spoken
 
     def step(self, link: AgentLink, now_s: float) -> bytes:
-        """Take in what has come. Returns the request to send: none while values come, and once all have."""
+        """Compare the values that the board has sent so far. Returns the request for all values if some miss and none has
+        come for AGAIN_S, else nothing."""
         if not link.telemetry.is_thruster_board:
             return b""
         reported = link.parameters

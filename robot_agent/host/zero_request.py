@@ -47,7 +47,7 @@ class ZeroRequests:
         if self._folder is None or now_s - self._looked_s < LOOK_S:
             return b""
         self._looked_s = now_s
-        request = self._read()
+        request = self._read_file()
         if not request or request != self._open:
             self._open, self._before = request, board.acknowledgements
         elif board.acknowledgements > self._before and board.acknowledged in answers(request.startswith(AIR)):
@@ -68,7 +68,7 @@ class ZeroRequests:
             return f"{board.autopilot_name} is on the link, no thruster board"
         return refusal_of(board, self._open.startswith(AIR)) if board.acknowledgements > self._before else ""
 
-    def _read(self) -> str:
+    def _read_file(self) -> str:
         """The request in the folder, all of its text; empty if there is none, or its command has ended."""
         assert self._folder is not None
         try:

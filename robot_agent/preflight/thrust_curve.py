@@ -55,7 +55,7 @@ def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[Thrus
         where = f"{name}: line {rows.line_num}"
         if len(row) != len(COLUMNS):
             raise ConfigError(f"{where}: {len(row)} columns (allowed: {','.join(COLUMNS)})")
-        pulse, grams = (_number(cell, f"{where}: {column}") for cell, column in zip(row, COLUMNS, strict=True))
+        pulse, grams = (_cell_number(cell, f"{where}: {column}") for cell, column in zip(row, COLUMNS, strict=True))
         low, high = PULSE_RANGE_US
         if not low <= pulse <= high or pulse != int(pulse):
             raise ConfigError(f"{where}: pulse_us = {pulse:g} (allowed: whole numbers from {low} to {high})")
@@ -63,7 +63,7 @@ def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[Thrus
     return readings
 
 
-def _number(cell: str, where: str) -> float:
+def _cell_number(cell: str, where: str) -> float:
     """A finite number from a cell of the table. Raises ConfigError."""
     try:
         value = float(cell)
@@ -135,7 +135,8 @@ def interpolate(curve: Sequence[tuple[int, float]], pulse_us: float) -> float:
 
 
 def _thinned(dense: Curve, points: int) -> Curve:
-    """At most so many of the points: the ends, the edges of the dead zone, and then always the one that is furthest off."""
+    """At most `points` of a dense curve's points: the ends, the edges of the dead zone, and then one by one the point that is
+    farthest off the curve through those kept so far."""
     still = [point for point in dense if point[1] == 0.0]
     kept = {dense[0], still[0], still[-1], dense[-1]}
     while len(kept) < min(points, len(dense)):

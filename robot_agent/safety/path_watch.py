@@ -88,15 +88,15 @@ class PathWatch:
 
     def __init__(self, experiment: Experiment, plan_period_s: float = 0.0) -> None:
         vehicle, self._limit_m = experiment.vehicle, experiment.safety.off_path_m
-        self._row = LOOK_S / plan_period_s if plan_period_s else 0.0
+        self._look_rows = LOOK_S / plan_period_s if plan_period_s else 0.0  # of a plan, in LOOK_S; 0: foresees nothing
         self._thrust_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
         self._thrust_n, self._fastest_mps = vehicle.limits.wrench[0], vehicle.limits.speed_mps
         self._plan_period_s = plan_period_s
         self._deviation = PathDeviationMonitor(self._limit_m)
-        self._clears_s = 0.5 * horizon_s(vehicle)  # the time to turn round and stop: until then it still gives way
+        self._turn_round_s = 0.5 * horizon_s(vehicle)  # so long after the last thing in the way it still gives way
         self.response = ThrustResponse(vehicle)
-        # It knows hulls that slide aside when they turn, and push along one axis
-        self._responds = experiment.controller.estimator.sway and not vehicle.limits.has_sway
+        # The response is known of hulls that slide aside when they turn, and have thrust along one axis only
+        self._knows_response = experiment.controller.estimator.sway and not vehicle.limits.has_sway
         self.state = Guidance.NONE
         self.reset()
 
@@ -134,14 +134,14 @@ class PathWatch:
             path = complex(control.eta_reference[0], control.eta_reference[1])
         if mode is not Mode.DRIVEN:
             self._deviation.step(place, path, output.is_free, output.path_is_blocked, now_ns)
-        elif not self._row:  # the reference leads: what counts is where the robot would be by then
+        elif not self._look_rows:  # the reference leads: what counts is where the robot would be by then
             self._deviation.step(led, path, output.is_free, output.path_is_blocked, now_ns)
         off_m = abs(place - path)
         self._change_state(output, mode, off_m, elapsed_s)
         if observation is not None and observation.leap:
             self.response.reset()
             self._foreseen.clear()
-        if self._row and mode in POWERED and not self.finding.reason and observation is not None and control is not None:
+        if self._look_rows and mode in POWERED and not self.finding.reason and observation is not None and control is not None:
             step = _Step(output, observation, control, off_m, elapsed_s, now_ns)
             self.finding = self._find(step)
 
@@ -153,7 +153,7 @@ class PathWatch:
         self._clear_s = 0.0 if in_way else self._clear_s + elapsed_s
         self._stayed_s += elapsed_s
         self._lasted_s += elapsed_s
-        gives_way = self._avoids or (before is Guidance.GIVING_WAY and self._clear_s < self._clears_s)
+        gives_way = self._avoids or (before is Guidance.GIVING_WAY and self._clear_s < self._turn_round_s)
         facts = GuidanceFacts(mode, gives_way, self._deviation.is_on_path, self._lasted_s >= STEADY_S)
         self.state = next_state(before, facts)
         if self.state is not before:
@@ -170,9 +170,9 @@ class PathWatch:
         held, turned_rad = self.response.held_fast, self.response.marker_turned_rad
         if strong and self.response.turn_evidence > 1.0:  # the same force, but it goes with the thrust
             turned_rad = -cmath.phase(self.response.response.gain)
-        if held and self._responds:
+        if held and self._knows_response:
             return WatchFinding("held fast", held)
-        if turned_rad and self._responds:
+        if turned_rad and self._knows_response:
             about = f"by about {abs(math.degrees(turned_rad)):.0f} degrees: its thrust acts in another direction"
             return WatchFinding("marker turned", about)
         if strong:
@@ -229,8 +229,8 @@ class PathWatch:
 
     def _ahead(self, poses: Array) -> complex:
         """Place LOOK_S ahead in a plan (rows, 4)."""
-        after = min(int(self._row), len(poses) - 2)
-        share = self._row - after
+        after = min(int(self._look_rows), len(poses) - 2)
+        share = self._look_rows - after
         x, y = ((1.0 - share) * poses[after, :2] + share * poses[after + 1, :2]).tolist()
         return complex(x, y)
 
@@ -262,12 +262,12 @@ class PathWatch:
     @property
     def likely_cause(self) -> str:
         """The cause to which the evidence so far points; empty if to none."""
-        if not self._row:
+        if not self._look_rows:
             return ""
         response = self.response
-        if self._responds and (response.stands_still or response.place.pushed > response.place.room):
+        if self._knows_response and (response.stands_still or response.place.pushed > response.place.room):
             return "it does not move: it may be held fast, or its thrusters do not push"
-        if self._responds and response.turn_evidence > LEANING:
+        if self._knows_response and response.turn_evidence > LEANING:
             turned = abs(math.degrees(cmath.phase(response.response.gain)))
             return f"thrust acts in another direction: its marker may be turned by about {turned:.0f} degrees"
         if self._now > LEANING:

@@ -37,13 +37,14 @@ class GyroscopeCheck:
     """Comparison of the turn by the gyroscope with the turn by the poses."""
 
     def __init__(self) -> None:
-        self.apart_rad = 0.0  # how far they are apart, once that has lasted APART_S; else 0
-        self._at_ns: list[int] = []  # instants of the samples, in order,
-        self._turned_rad: list[float] = []  # and the turn by the gyroscope up to each
-        self._rate_radps = 0.0  # of the last
-        self._pose_ns: int | None = None  # of the last pose
-        self._offset_rad = self._usual_rad = 0.0  # heading of the camera minus that of the gyroscope: last, and of late
-        self._since_ns: int | None = None  # the pose from which on they are apart
+        self.apart_rad = 0.0  # difference of the two turns, once it has lasted APART_S; else 0
+        self._at_ns: list[int] = []  # instants of the gyroscope's samples, in order
+        self._turned_rad: list[float] = []  # the turn by the gyroscope up to each sample
+        self._rate_radps = 0.0  # the last sample
+        self._pose_ns: int | None = None  # instant of the last pose
+        self._offset_rad = 0.0  # heading of the camera minus that of the gyroscope, at the last pose
+        self._usual_rad = 0.0  # the same, filtered with FORGETS_S
+        self._since_ns: int | None = None  # the first pose since which the turns have been apart
 
     def note_rate(self, rate_radps: float, at_ns: int) -> None:
         """Take in a sample of the gyroscope. One that was given before is ignored."""

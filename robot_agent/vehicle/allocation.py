@@ -71,7 +71,12 @@ def lifting_bias(port: float, starboard: float, heave_n: float, steepest_tan: fl
 
 @kernel
 def allocate(wrench: Floats, legs: ThrusterLegs, force: Floats, angle: Floats) -> None:
-    """Thruster forces (4,) in N and ankle angles (4,) in rad for a wrench (3,): surge first, then yaw, then heave."""
+    """Thruster forces (4,) in N and ankle angles (4,) in rad for a wrench (3,): surge first, then yaw, then heave.
+
+    A thruster's level force h is its side's (a quarter of surge, and of yaw over the lever arm), plus a bias that the fore and
+    the aft thruster of a side have against one another. Ankles then turn the forces up or down by a common tangent t, with
+    a sign and share g = h / CROSSING_N within 1:  heave = t sum(h g),  angle = atan(t g),  force = h sqrt(1 + (t g)^2).
+    """
     surge, heave, yaw = wrench[0], wrench[1], wrench[2]
     mean = min(max(0.25 * surge, -legs.astern_n), legs.ahead_n)
     room = min(legs.ahead_n - mean, legs.astern_n + mean)
@@ -79,17 +84,17 @@ def allocate(wrench: Floats, legs: ThrusterLegs, force: Floats, angle: Floats) -
     port, starboard = mean + turn, mean - turn
     lift = lifting_bias(port, starboard, abs(heave), legs.steepest_tan)
     bias_port, bias_starboard = side_bias(legs, lift, port), side_bias(legs, lift, starboard)
-    lever, spare = 0.0, math.inf
+    lifting_n, spare = 0.0, math.inf
     for i in range(4):
         fore = legs.place[i, 0]
         h = port + bias_port * fore if legs.place[i, 1] < 0.0 else starboard + bias_starboard * fore
         g = min(max(h / CROSSING_N, -1.0), 1.0)
         force[i], angle[i] = h, g
-        lever += h * g
+        lifting_n += h * g
         spare = min(spare, (legs.ahead_n if h >= 0.0 else legs.astern_n) / max(abs(h), 1e-9))
     # Heave gives way: the steepest common tangent at which no thruster is asked for more than it has.
     steepest = min(math.sqrt(max(spare * spare - 1.0, 0.0)), legs.steepest_tan)
-    t = min(max(heave / lever, -steepest), steepest) if lever > 0.0 else 0.0
+    t = min(max(heave / lifting_n, -steepest), steepest) if lifting_n > 0.0 else 0.0
     for i in range(4):
         force[i] *= math.sqrt(1.0 + (t * angle[i]) ** 2)
         angle[i] = math.atan(t * angle[i])

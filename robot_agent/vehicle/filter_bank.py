@@ -91,35 +91,49 @@ class MeasuredNumber(NamedTuple):
 
 @kernel(part=True)
 def linearise(model: Table, sway: float, belief: Floats, dt: float, noise: Noise, f: Table) -> None:
-    """Write F (ERRORS, ERRORS), derivative of `dynamics.advance` at the middle of a step of `dt`, with thrusts that act."""
+    """Write F (ERRORS, ERRORS), derivative of `dynamics.advance` at the middle of a step of `dt`, with thrusts that act.
+
+        u' = (thrust - d(w) u) / m_u + m_v / m_u v r            d(w) = linear + quadratic sqrt(u^2 + v^2)
+        v' = (side thrust - d(w) v) / m_v - m_u / m_v u r
+        r' = (moment + (m_u - m_v) u v - d(r) r) / m_r          d(r) = linear + quadratic |r|
+
+    F = 1 + phi A with the derivative A of these; of each axis, phi = (1 - exp(-slope dt)) / slope, and slope is minus the
+    derivative by its own velocity.
+    """
     yaw, u, v, r = belief[3], belief[4], belief[5], belief[7]
     m_u, m_v, m_r = model[0, 0], model[0, 1], model[0, 3]
     speed = math.sqrt(u * u + v * v)
-    bend = 1.0 / speed if speed > 1e-9 else 0.0
-    c = m_v / m_u
-    along, aside = (model[1, 0] + model[2, 0] * speed) / m_u, (model[1, 1] + model[2, 1] * speed) / m_v
-    around = (model[1, 3] + model[2, 3] * abs(r)) / m_r
-    slope_u, slope_v = along + model[2, 0] * u * u * bend / m_u, aside + model[2, 1] * v * v * bend / m_v
-    slope_r = around + model[2, 3] * abs(r) / m_r
+    per_speed = 1.0 / speed if speed > 1e-9 else 0.0
+    ratio = m_v / m_u
+    drag_u, drag_v = (model[1, 0] + model[2, 0] * speed) / m_u, (model[1, 1] + model[2, 1] * speed) / m_v  # d / m, 1/s
+    drag_r = (model[1, 3] + model[2, 3] * abs(r)) / m_r
+    slope_u, slope_v = drag_u + model[2, 0] * u * u * per_speed / m_u, drag_v + model[2, 1] * v * v * per_speed / m_v
+    slope_r = drag_r + model[2, 3] * abs(r) / m_r
     phi_u, phi_v, phi_r = phi_dt(slope_u, dt), sway * phi_dt(slope_v, dt), phi_dt(slope_r, dt)
     f[:] = 0.0
     for i in range(ERRORS):
         f[i, i] = 1.0
-    f[U, U], f[U, V], f[U, R] = 1.0 - phi_u * slope_u, phi_u * (c * r - model[2, 0] * u * v * bend / m_u), phi_u * c * v
-    f[U, FORCE_U], f[U, DRAG], f[U, THRUST] = phi_u, -phi_u * along * u, phi_u * belief[ACTING] / m_u
+    # surge
+    f[U, U], f[U, R] = 1.0 - phi_u * slope_u, phi_u * ratio * v
+    f[U, V] = phi_u * (ratio * r - model[2, 0] * u * v * per_speed / m_u)
+    f[U, FORCE_U], f[U, DRAG], f[U, THRUST] = phi_u, -phi_u * drag_u * u, phi_u * belief[ACTING] / m_u
+    # sway
     f[V, V] = 1.0 - phi_v * slope_v if sway > 0.0 else 0.0
-    f[V, U], f[V, R] = -phi_v * (r / c + model[2, 1] * u * v * bend / m_v), -phi_v * u / c
-    f[V, FORCE_V], f[V, DRAG], f[V, THRUST] = phi_v, -phi_v * aside * v, phi_v * belief[SIDE] / m_v
+    f[V, U] = -phi_v * (r / ratio + model[2, 1] * u * v * per_speed / m_v)
+    f[V, R] = -phi_v * u / ratio
+    f[V, FORCE_V], f[V, DRAG], f[V, THRUST] = phi_v, -phi_v * drag_v * v, phi_v * belief[SIDE] / m_v
+    # yaw
     munk = (m_u - m_v) * u * v  # grows with the masses that are learned, 1 / t
-    f[R, R], f[R, FORCE_R], f[R, MOMENT] = 1.0 - phi_r * slope_r, phi_r, phi_r * (belief[ACTING + 2] + munk) / m_r
-    f[R, U], f[R, V], f[R, THRUST] = phi_r * (m_u - m_v) * v / m_r, phi_r * (m_u - m_v) * u / m_r, -phi_r * munk / m_r
-    f[R, TURN_DRAG] = -phi_r * around * r
+    f[R, R], f[R, U], f[R, V] = 1.0 - phi_r * slope_r, phi_r * (m_u - m_v) * v / m_r, phi_r * (m_u - m_v) * u / m_r
+    f[R, FORCE_R], f[R, MOMENT], f[R, THRUST] = phi_r, phi_r * (belief[ACTING + 2] + munk) / m_r, -phi_r * munk / m_r
+    f[R, TURN_DRAG] = -phi_r * drag_r * r
     f[FORCE_U, FORCE_U] = f[FORCE_V, FORCE_V] = f[FORCE_R, FORCE_R] = math.exp(-dt / noise.lasts_s)
+    # place and heading: half of the way by the velocity before the step, half by that after it
     cos, sin = math.cos(yaw), math.sin(yaw)
-    for j in range(U, ERRORS):  # half of the way by the velocity before, half by that after
+    for j in range(U, ERRORS):
         ahead = 0.5 * dt * (f[U, j] + (1.0 if j == U else 0.0))
-        across = 0.5 * dt * (f[V, j] + (1.0 if j == V else 0.0))
-        f[X, j], f[Y, j] = cos * ahead - sin * across, sin * ahead + cos * across
+        aside = 0.5 * dt * (f[V, j] + (1.0 if j == V else 0.0))
+        f[X, j], f[Y, j] = cos * ahead - sin * aside, sin * ahead + cos * aside
         f[YAW, j] = 0.5 * dt * (f[R, j] + (1.0 if j == R else 0.0))
     f[X, YAW], f[Y, YAW] = dt * (-sin * u - cos * v), dt * (cos * u - sin * v)
     f[X, CURRENT_X] = f[Y, CURRENT_Y] = dt

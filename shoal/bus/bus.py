@@ -145,7 +145,7 @@ class Inbox(Generic[M]):
         return self._last_read
 
     def _newest(self, up_to_ns: int | None) -> Received[M] | None:
-        """The newest message that can be decoded, of those stamped until then."""
+        """The newest message stamped at or before an instant that can be decoded."""
         for one in reversed(self._kept):
             if up_to_ns is not None and one.header.stamp_ns > up_to_ns:
                 continue
@@ -228,7 +228,7 @@ class Bus:
     def forward(
         self, topic: Topic, payload: bytes, stamp_ns: int, robot: int | None = None, age_ns: int = 0
     ) -> tuple[str, Header, bytes]:
-        """`publish` of what is encoded already."""
+        """Publish a message that is encoded already."""
         key = self._key(topic.key(robot))
         if self.muted:
             if topic.qos not in topics.RECOVERED:
@@ -410,7 +410,7 @@ class Bus:
                 self._recipients[key] = _Recipient(process, (took_s,))
 
         def reply() -> Reply:
-            """Wait for the answer. A process that has only said who it is gets the order again, by its name."""
+            """Wait for the answer. Where a process has answered with its identity alone, it gets the order again, by name."""
             first_reply, asked_again_s = read(first.answer, asked_s), time.monotonic()
             process, took_s = first_reply.session, asked_again_s - asked_s
             note(process, took_s)
@@ -440,7 +440,7 @@ class Bus:
             return _SentCommand(header.sequence, self.transport.ask(key, payload, header.encode(), timeout_s))
 
     def _read(self, command: Command, key: str, answer: bytes | None, silence: str) -> Reply:
-        """The reply in an answer; where there is none, one that tells of this `silence`."""
+        """The reply in an answer; without an answer, one that gives `silence` as the reason."""
         if answer is None:
             return Reply(command.robot, False, silence, silent=True)
         try:
@@ -449,16 +449,18 @@ class Bus:
             return Reply(command.robot, False, str(error))
 
     def claim(self, process: str, stopped: Callable[[], bool], patience_s: float = SAME_NAME_S) -> None:
-        """Take a name in the fleet, or wait until no other process has it: one that has crashed is missed after some seconds.
-        Raises ConfigError if one has it all the same, Unreached if this process is to stop before it is free: who goes on then
-        would take leave of the other's board in its name. Do it first: two of one name would act by turns.
+        """Take a name in the fleet, once no other process has it. A process that has crashed loses its name after seconds.
+        Raises ConfigError if the name is still taken after `patience_s`, and Unreached if this process is to stop before the
+        name is free: it must not act on the other's board. Claim the name before anything else: two processes of one name
+        would act by turns.
 
-        Of several that begin together each says so, looks again when the others must have heard, and the lowest session gets
-        the name. One that appears all the same, when a network has been in two parts, is an error in the log of both."""
+        Of several processes that claim it together, each announces its claim, looks again when the others must have heard of
+        it, and the lowest session gets the name. Where two have it all the same, after a network was in two parts, both log an
+        error."""
         held, namesakes = False, set[tuple[str, int]]()  # states and sessions of processes of this name
 
         def look(anew: bool) -> set[tuple[str, int]]:
-            """The processes as they are told from now on; `anew` by a connection that remembers none of before."""
+            """The processes of this name, kept up to date; `anew`: by a new connection, which remembers no earlier ones."""
             processes = set[tuple[str, int]]()
 
             def note(key: str, there: bool) -> None:

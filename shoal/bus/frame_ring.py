@@ -95,12 +95,12 @@ class FrameRing:
         if len(image.data) != REFERENCE.size or not 0 < size <= self._pixels.shape[1]:
             raise DecodeError(peer, topic, "data", f"{image.width} x {image.height} pixels are in no slot of this ring")
         slot, number = REFERENCE.unpack(image.data)
-        pixels = self._read(slot, number, size)
+        pixels = self._read_slot(slot, number, size)
         if pixels is None:
             raise DecodeError(peer, topic, "data", f"frame {number} was written over before it was read")
         return Frame(pixels.reshape(image.height, image.width))
 
-    def _read(self, slot: int, number: int, size: int) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
+    def _read_slot(self, slot: int, number: int, size: int) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
         """A copy of the first `size` pixels of a slot; None unless it holds the frame of this number before and after."""
         if slot >= self._slots or number == 0 or self._numbers[slot] != number:
             return None

@@ -80,7 +80,7 @@ class MemberList(Section):
 
 
 def open_keys(ring: Path, process: str) -> Keys:
-    """The keys of one process. Raises ConfigError saying what is missing, damaged or another's, or who else can read them."""
+    """The keys of one process. Raises ConfigError if a file is missing, damaged, of another process, or readable by others."""
     keys = Keys(ring / process)
     with os_errors_as_config_errors(keys.folder):
         for path in (keys.ca, keys.certificate, keys.private_key):

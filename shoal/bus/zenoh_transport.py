@@ -176,12 +176,13 @@ def _expel_unlisted(session: zenoh.Session, gate: RouterGate, listed: frozenset[
     """Close connections whose certificate is revoked, or whose name has too many already: TLS lets them in, and one such
     certificate could fill the router. In a thread of its own, because a warning goes out as an event, for which a thread of
     Zenoh would wait on itself."""
-    came = session.info.declare_link_events_listener(zenoh.handlers.FifoChannel(UNCOLLECTED))
+    link_events = session.info.declare_link_events_listener(zenoh.handlers.FifoChannel(UNCOLLECTED))
 
     def follow() -> None:
+        """Judge each new connection, and close those to which there is an objection."""
         members = _Members(listed)
         with contextlib.suppress(zenoh.ZError):  # the session is closed
-            for event in came:
+            for event in link_events:
                 name = event.link.auth_identifier
                 where = str(event.link.dst).partition("#")[0].rpartition(":")[2]
                 if name is None or not where.isdecimal():  # the door

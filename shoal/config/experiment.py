@@ -403,8 +403,8 @@ def dump_flight(experiment: Experiment) -> str:
 
 
 def _with_other_places(name: Any, robots: list[dict[str, Any]], others: Any) -> list[dict[str, Any]]:
-    """Robots with the places, and paths of their own, of those with the same ids in another experiment; without any if it
-    names no robots."""
+    """Robots with the places and own paths of the robots with the same ids in another experiment; without any if it names no
+    robots."""
     own = [{key: value for key, value in robot.items() if key not in ("node_m", "path")} for robot in robots]
     if others is None:
         return own
@@ -464,7 +464,7 @@ def checked_experiment(
                 listed += map(fault_table, faults)
         return _with_the_vehicles_body(check(Experiment, table, str(path)))
     except ConfigError as error:
-        raise ConfigError("\n".join(_of_option(line, path, options) for line in str(error).splitlines())) from None
+        raise ConfigError("\n".join(_option_error(line, path, options) for line in str(error).splitlines())) from None
 
 
 def _with_the_vehicles_body(experiment: Experiment) -> Experiment:
@@ -490,7 +490,7 @@ def _with_the_vehicles_body(experiment: Experiment) -> Experiment:
     return experiment.model_copy(update={"sim": sim.model_copy(update={"plant": plant, "sensors": sensors})})
 
 
-def _of_option(line: str, path: Path, given: Mapping[str, str]) -> str:
+def _option_error(line: str, path: Path, given: Mapping[str, str]) -> str:
     """An error's line, with the option of the command line in the file's place where it is about that option."""
     about = line.removeprefix(f"{path}: ")
     for subject, option in reversed(list(given.items())):
@@ -522,7 +522,7 @@ def _insert_files(table: dict[str, Any], experiment: Path, typed: bool = False) 
         except ConfigError as error:
             raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
         if isinstance(given, dict):
-            _lay_over(holder[key], {k: value for k, value in given.items() if k != "like"})
+            _merge_into(holder[key], {k: value for k, value in given.items() if k != "like"})
 
 
 def _insert_nodes(table: dict[str, Any]) -> None:
@@ -538,11 +538,11 @@ def _insert_nodes(table: dict[str, Any]) -> None:
                 robot.setdefault("node_m", node)
 
 
-def _lay_over(table: dict[str, Any], changes: dict[str, Any]) -> None:
+def _merge_into(table: dict[str, Any], changes: dict[str, Any]) -> None:
     """Write `changes` into `table`, in place; tables within tables likewise."""
     for key, value in changes.items():
         if isinstance(value, dict) and isinstance(table.get(key), dict):
-            _lay_over(table[key], value)
+            _merge_into(table[key], value)
         else:
             table[key] = value
 

@@ -4,17 +4,21 @@ import math
 from itertools import pairwise
 from typing import Annotated, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from shoal.config import LARGEST_ROBOT
 from shoal.config.formation_shapes import FORM_USAGE, SHAPES, Shape
 from shoal.config.loader import Section
 from shoal.config.vehicle import NotNegative, Positive
+from shoal.frames import Array
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]
 
+AT_SURFACE_M = 1e-6  # a path at depth 0, rounded
 MOST_WAYPOINTS = 30_000  # of a path, all laps together: no file has room for more
 
 
@@ -28,6 +32,12 @@ class PoolConfig(Section):
     """Length (x), width (y) and depth (z)."""
     walls: bool = True
     """Plans keep clear of sides, floor and surface. False: open water."""
+
+    def holds(self, position_m: Array) -> NDArray[np.bool_]:
+        """True (n,) for centres (n, 3) that may be on a trajectory. In open water there is no surface either."""
+        length_m, width_m, depth_m = self.size_m
+        inside = (np.abs(position_m) <= [0.5 * length_m, 0.5 * width_m, depth_m]).all(axis=1)
+        return np.asarray(inside & (position_m[:, 2] >= -AT_SURFACE_M) if self.walls else inside)
 
 
 class Island(Section):

@@ -218,7 +218,7 @@ class Build:
             self._start(queue, limit_mb, workers, ready)
 
     def _write_down(self, package: str) -> None:
-        """Note that all kernels of a package are there, of which sources, and where the first is missing they are not."""
+        """Record that all kernels of a package are there: of which machine and sources, and in which files."""
         files = [name for name in sorted(self._files) if name.startswith(f"{package}.")]
         record = {"machine": _machine(), "sources": self._state[package], "files": files}
         try:

@@ -96,7 +96,7 @@ class ParameterClient:
         return self.silence(trouble)
 
     def silence(self, trouble: str = "") -> str:
-        """The reason why no board is heard, from what has come or else the link's `trouble`; empty if one is heard."""
+        """The reason why no board is heard, from the messages so far or else the link's `trouble`; empty if one is heard."""
         if self.has_answered:
             return ""
         if self._others:

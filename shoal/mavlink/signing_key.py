@@ -60,7 +60,7 @@ class TimestampStore:
         kept."""
         self._path, self._unix_ns = path, unix_ns
         try:
-            used_before = _time_in(path) if path.exists() else 0
+            used_before = _read_time(path) if path.exists() else 0
             self._least = self._limit = used_before
             now = self()
             self._reserve(now, durable=True)
@@ -81,7 +81,7 @@ class TimestampStore:
         replace_text(self._path, str(self._limit), durable)
 
 
-def _time_in(path: Path) -> int:
+def _read_time(path: Path) -> int:
     """The time that a file of these holds. Raises OSError, and ConfigError for one that a loss of power has cut."""
     try:
         time = int(read_regular(path, MOST_BYTES))

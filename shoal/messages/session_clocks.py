@@ -17,7 +17,7 @@ WINDOW_NS = 10_000_000_000  # in which the quickest counts: clocks drift by at m
 
 
 _UNKNOWN = (topics.POSE.type, topics.OBSTACLES.type)  # messages about a picture that do not say how old it was
-_Clock = tuple[int, bool]  # session, and whether of the lines of its log: a localizer stamps all else by its camera's clock
+_Clock = tuple[int, bool]  # session, and whether of its events: a localizer stamps all else by its camera's clock
 
 
 def held_ns(topic: Topic, message: object) -> int | None:
@@ -57,7 +57,7 @@ class SessionClocks:
         quickest_ns[window] = min(quickest_ns.get(window, ahead_ns), ahead_ns)
 
     def shift_ns(self, topic: str, session: int, stamp_ns: int) -> int:
-        """Shift of a stamp in a topic of that name; 0 where the clocks are one, and where nothing is known."""
+        """Time by which the recorder's clock is ahead of a stamp's; 0 where both are one clock, and where nothing is known."""
         quickest_ns = self._windows(session, topic == topics.EVENT.name)
         if not quickest_ns or _is_alike(quickest_ns):
             return 0
@@ -65,10 +65,10 @@ class SessionClocks:
         near = [quickest_ns[k] for k in (window - 1, window, window + 1) if k in quickest_ns]
         return min(near) if near else round(median(quickest_ns.values()))
 
-    def _windows(self, session: int, of_log: bool) -> dict[int, int]:
-        """Quickest messages of a clock, by window. Lines of a log go by what else their sender says: those of before the
-        run come late, from its cache."""
-        own, others = (self._quickest_ns.get((session, own), {}) for own in (of_log, False))
+    def _windows(self, session: int, is_event: bool) -> dict[int, int]:
+        """Least time on the way in each window of a clock. For events, that of the sender's other messages where it is known:
+        events of before the run come late, from the sender's cache."""
+        own, others = (self._quickest_ns.get((session, kind), {}) for kind in (is_event, False))
         return others if others and (session not in self._localizers or _is_alike(others)) else own
 
 

@@ -57,7 +57,7 @@ def commit(root: Path) -> str:
     """The commit of the packages in a folder. Where git has one and cannot say it now, as on a disk that takes too long, it is
     unknown: what a build has left there may be of other code."""
     try:
-        return (_of_work_tree(root) if _is_work_tree(root) else _recorded(root)) or UNKNOWN
+        return (_work_tree_commit(root) if _is_work_tree(root) else _recorded(root)) or UNKNOWN
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError):
         return UNKNOWN
 
@@ -76,7 +76,7 @@ def _is_work_tree(root: Path) -> bool:
     return True
 
 
-def _of_work_tree(root: Path) -> str:
+def _work_tree_commit(root: Path) -> str:
     """Commit as git has it, with a mark where files differ from it. Raises SubprocessError or OSError if it does not say."""
     head = _git(root, "rev-parse", "--verify", "HEAD").decode("ascii").strip()
     changes = hashlib.sha256(_git(root, "diff", "HEAD", "--no-ext-diff", "--no-textconv", "--binary", "--", *PACKAGES))

@@ -53,14 +53,14 @@ def examine(probe: BoardProbe, dry: bool, rules: Iterable[Rule]) -> Iterator[Rul
             continue
         for _ in range(TRIES):
             stalls = probe.stalls
-            passed, measured = _try(rule, probe)
+            passed, measured = _check_rule(rule, probe)
             if passed or probe.stalls == stalls:
                 break
             measured += " (this machine was held up)"
         yield RuleResult(rule.name, rule.requirement, RuleVerdict.PASSED if passed else RuleVerdict.FAILED, measured)
 
 
-def _try(rule: Rule, probe: BoardProbe) -> Measured:
+def _check_rule(rule: Rule, probe: BoardProbe) -> Measured:
     """Check a rule, and bring the board back to rest with its own parameters."""
     try:
         passed, measured = rule.check(probe)

@@ -94,7 +94,7 @@ class Renderer:
             self._draw(raw, scene, self._landmarks, time_s, shadows=False)
         bodies = self._bodies(eta, nu, np.zeros((len(eta), 2)) if tilt is None else tilt[:, :2], time_s)
         if self._camera.readout_s > 0.0:
-            bodies = self._when_read_out(scene.view.optics, bodies)
+            bodies = self._bodies_at_exposure(scene.view.optics, bodies)
         self._draw(raw, scene, bodies, time_s, self._picture.shadows)
         if streams := bubbles + self._picture.bubbles:
             draw_bubbles(raw, self._bubbles.at(time_s, streams), scene.view.camera, eta[:, :3], self._hull_m)
@@ -127,7 +127,7 @@ class Renderer:
             if window is not None and look.px_per_m > 0.0:
                 sprite.draw(raw, scene, window, look, time_s)
 
-    def _when_read_out(self, optics: Optics, bodies: Bodies) -> Bodies:
+    def _bodies_at_exposure(self, optics: Optics, bodies: Bodies) -> Bodies:
         """The bodies where they are when the row of their centre is exposed, by a rolling shutter whose middle row is exposed
         at the time of the picture. Other rows are not told apart: 0.5 mm at 0.3 m/s, 100 px of 960 and 15 ms of read-out."""
         rows = optics.see(bodies.eta[:, :3]).pixels[:, 1]

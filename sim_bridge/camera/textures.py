@@ -99,7 +99,7 @@ def hull_texture(number: int | None, marked: bool, softness_px: float, random: n
         image *= np.where(up > 0, 1.0 - 0.35 * np.clip((0.56 - reach) / 0.12, 0.0, 1.0), 1.0)[..., None]
     picture = np.clip(image, 0, 255).astype(np.uint8)
     if number is not None:
-        _number(picture, number)
+        _write_number(picture, number)
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), max(softness_px, 0.4)), dtype=np.uint8)
 
 
@@ -115,7 +115,7 @@ def _turned(x: Plane, y: Plane, angle: float) -> Plane:
     return np.asarray(np.where(ahead > 0, y * np.cos(angle) - x * np.sin(angle), 9.0))
 
 
-def _number(picture: Bytes, number: int) -> None:
+def _write_number(picture: Bytes, number: int) -> None:
     """Write the robot's number on the hatch behind, readable from behind the robot."""
     label = np.zeros((28, 44, 3), np.uint8)
     left = 4 if number > 9 else 13

@@ -224,7 +224,10 @@ def meet_wave(wave: Floats, slope_x: float, slope_y: float, index: float, fields
     """Change a block's line of sight, in `fields`, to that through a wave (SurfaceWave.at) with ripples of a slope on it.
 
     A wave is steep and high enough for lines that slant to need the whole of Snell's law, and the place where they meet the
-    crest; for ripples the first order does. `index` is 1 over the water's."""
+    crest; for ripples the first order does. `index` is 1 over the water's. For unit vectors along the line and the normal:
+
+        water = index line - (sqrt(1 - index^2 sin^2) - index cos) normal        cos: of the angle between -line and normal
+    """
     air_x, air_y = fields[AIR_X, a, b], fields[AIR_Y, a, b]
     x, y, height_m, phase = fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b], 0.0, 0.0
     for _ in range(3):  # each is better by the wave's slope times the line's
@@ -232,16 +235,39 @@ def meet_wave(wave: Floats, slope_x: float, slope_y: float, index: float, fields
         height_m = wave[0] * math.cos(phase)
     slope_x -= wave[0] * wave[1] * math.sin(phase)
     slope_y -= wave[0] * wave[2] * math.sin(phase)
-    long, steep = math.sqrt(1.0 + air_x * air_x + air_y * air_y), math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-    cosine = (1.0 + air_x * slope_x + air_y * slope_y) / (long * steep)
-    along = math.sqrt(1.0 - index * index * (1.0 - cosine * cosine)) - index * cosine
-    down = index / long + along / steep
+    line_length = math.sqrt(1.0 + air_x * air_x + air_y * air_y)  # of (air_x, air_y, 1)
+    normal_length = math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+    cosine = (1.0 + air_x * slope_x + air_y * slope_y) / (line_length * normal_length)
+    along_normal = math.sqrt(1.0 - index * index * (1.0 - cosine * cosine)) - index * cosine
+    down = index / line_length + along_normal / normal_length
     water_x, water_y = (
-        (index * air_x / long + along * slope_x / steep) / down,
-        (index * air_y / long + along * slope_y / steep) / down,
+        (index * air_x / line_length + along_normal * slope_x / normal_length) / down,
+        (index * air_y / line_length + along_normal * slope_y / normal_length) / down,
     )
     fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b] = x + height_m * (water_x - air_x), y + height_m * (water_y - air_y)
     fields[WATER_X, a, b], fields[WATER_Y, a, b] = water_x, water_y
+
+
+@kernel(inline=True, part=True)
+def caustic_level(pattern: Blend, x_m: float, y_m: float) -> float:
+    """Level of the caustics, CAUSTIC_UNIT in the mean, at a place on the plan, measured from the pattern's corner."""
+    rows, columns = pattern.first.shape
+    column, row = mirror(x_m / CAUSTIC_GRID_M, columns), mirror(y_m / CAUSTIC_GRID_M, rows)
+    left, top = min(int(column), columns - 2), min(int(row), rows - 2)
+    u, v = column - left, row - top
+    first = grid_value(pattern.first, left, top, u, v)
+    return first + pattern.share * (grid_value(pattern.second, left, top, u, v) - first)
+
+
+@kernel(inline=True, part=True)
+def mirrored_lamps(lamps_m: Table, x_m: float, y_m: float) -> float:
+    """Share of a lamp that a mirrored line of sight meets at a place of the ceiling; 0 to 1 for each lamp."""
+    share = 0.0
+    for k in range(len(lamps_m)):
+        along = (lamps_m[k, 2] - abs(x_m - lamps_m[k, 0])) / (2.0 * LAMP_EDGE_M) + 0.5
+        across = (lamps_m[k, 3] - abs(y_m - lamps_m[k, 1])) / (2.0 * LAMP_EDGE_M) + 0.5
+        share += min(max(along, 0.0), 1.0) * min(max(across, 0.0), 1.0)
+    return share
 
 
 @kernel
@@ -251,10 +277,8 @@ def block_fields(rect: ImageRect, view: BlockView, now: BlockWaves, depth_m: flo
     Ripples.slopes, WaterLight.light and `glare`, for a part of the picture."""
     _, _, _, _, block_top, _, block_left, _ = rect
     surface_x, surface_y, air_x, air_y, water_x, water_y = view.lines
-    basis, half_m, lens, lamps_m, bending = view.basis, view.half_m, view.lens, view.lamps_m, view.bending
-    weights, (pattern, next_pattern, pattern_share), wave = now
-    rows, columns = pattern.shape
-    further = 1.0 - LAMP_HEIGHT_M / lens[2]
+    basis, half_m, lens, bending, weights = view.basis, view.half_m, view.lens, view.bending, now.weights
+    to_ceiling = 1.0 - LAMP_HEIGHT_M / lens[2]  # of a line mirrored at a level surface: its way on, over that from the lens
     for a in range(fields.shape[1]):
         for b in range(fields.shape[2]):
             i, j = block_top + a, block_left + b
@@ -262,28 +286,20 @@ def block_fields(rect: ImageRect, view: BlockView, now: BlockWaves, depth_m: flo
             for k in range(len(basis)):
                 slope_x += weights[0, k] * basis[k, i, j]
                 slope_y += weights[1, k] * basis[k, i, j]
-            sx, sy = surface_x[i, j], surface_y[i, j]
-            column = mirror((sx + depth_m * water_x[i, j] + half_m[0]) / CAUSTIC_GRID_M, columns)
-            row = mirror((sy + depth_m * water_y[i, j] + half_m[1]) / CAUSTIC_GRID_M, rows)
-            left, top = min(int(column), columns - 2), min(int(row), rows - 2)
-            u, v = column - left, row - top
-            before = grid_value(pattern, left, top, u, v)
-            level = before + pattern_share * (grid_value(next_pattern, left, top, u, v) - before)
-            x = lens[0] + (sx - lens[0]) * further - slope_x * (2.0 * LAMP_HEIGHT_M)
-            y = lens[1] + (sy - lens[1]) * further - slope_y * (2.0 * LAMP_HEIGHT_M)
-            mirrored = 0.0
-            for k in range(len(lamps_m)):
-                along = (lamps_m[k, 2] - abs(x - lamps_m[k, 0])) / (2.0 * LAMP_EDGE_M) + 0.5
-                across = (lamps_m[k, 3] - abs(y - lamps_m[k, 1])) / (2.0 * LAMP_EDGE_M) + 0.5
-                mirrored += min(max(along, 0.0), 1.0) * min(max(across, 0.0), 1.0)
-            fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b] = sx, sy
+            x_m, y_m = surface_x[i, j], surface_y[i, j]
+            level = caustic_level(
+                now.pattern, x_m + depth_m * water_x[i, j] + half_m[0], y_m + depth_m * water_y[i, j] + half_m[1]
+            )
+            ceiling_x_m = lens[0] + (x_m - lens[0]) * to_ceiling - slope_x * (2.0 * LAMP_HEIGHT_M)
+            ceiling_y_m = lens[1] + (y_m - lens[1]) * to_ceiling - slope_y * (2.0 * LAMP_HEIGHT_M)
+            fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b] = x_m, y_m
             fields[AIR_X, a, b], fields[AIR_Y, a, b] = air_x[i, j], air_y[i, j]
             fields[WATER_X, a, b] = water_x[i, j] + bending * slope_x
             fields[WATER_Y, a, b] = water_y[i, j] + bending * slope_y
-            if wave[0] > 0.0:
-                meet_wave(wave, slope_x, slope_y, 1.0 - bending, fields, a, b)
+            if now.wave[0] > 0.0:
+                meet_wave(now.wave, slope_x, slope_y, 1.0 - bending, fields, a, b)
             fields[LIGHT, a, b] = 1.0 + reach * (level / CAUSTIC_UNIT - 1.0)
-            fields[GLARE, a, b] = view.glare_levels * mirrored
+            fields[GLARE, a, b] = view.glare_levels * mirrored_lamps(view.lamps_m, ceiling_x_m, ceiling_y_m)
 
 
 def glare(surface_x: Float, surface_y: Float, slopes: Float, camera: Camera) -> Float:

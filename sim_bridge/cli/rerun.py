@@ -46,13 +46,13 @@ def rerun(
     if as_json:
         typer.echo(json.dumps([again.as_dict() for again in comparisons], indent=1))
     else:
-        _tell(comparisons)
+        _print_comparisons(comparisons)
     if trouble:
         typer.echo(printable(trouble), err=True)
     raise typer.Exit(0 if not trouble and (settings or all(again.exact for again in comparisons)) else 1)
 
 
-def _tell(comparisons: "list[StepComparison]") -> None:
+def _print_comparisons(comparisons: "list[StepComparison]") -> None:
     from rich.table import Table
 
     console = terminal()

@@ -100,7 +100,7 @@ def sil(
     if source is not None and dry_run:
         raise typer.BadParameter("--dry-run is for an EXPERIMENT, not for --from")
     if source is not None:
-        _go_on(experiment, source, at, _changes(seed, duration, settings), faults, out)
+        _fly_from_run(experiment, source, at, _changes(seed, duration, settings), faults, out)
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from shoal.config.experiment import NO_CAMERA
@@ -271,7 +271,7 @@ def _changes(seed: int | None, duration_s: float | None, settings: list[str] | N
     return changes
 
 
-def _go_on(
+def _fly_from_run(
     experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
 ) -> NoReturn:
     from sim_bridge.in_process import resume, run

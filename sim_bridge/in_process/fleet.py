@@ -206,14 +206,14 @@ class AgentFleet:
         for _ in range(max(READY_NS // self.period_ns - 1, 1)):
             self.step()
         for order in (CommandKind.LOAD, CommandKind.ARM):
-            self._all(order)
+            self._command_all(order)
         self.step()  # the boards arm meanwhile
-        self._all(CommandKind.START)
+        self._command_all(CommandKind.START)
         self._start_ns = self.now_ns + self.period_ns
         self.step()
         self.held, self.begin = False, len(self.truth)
 
-    def _all(self, order: CommandKind) -> None:
+    def _command_all(self, order: CommandKind) -> None:
         """Give a command to every robot; START is for the next step. Raises ConfigError if one refuses."""
         for i in range(len(self.robots)):
             reply = self.order(order, i, start_in_s=self.period_ns / NS)

@@ -63,46 +63,46 @@ class RobotHistory:
 def replay_history(experiment: Experiment, robot: int, lines: Iterable[LogMessage]) -> RobotHistory:
     """Lead an agent through a log up to a moment. Raises ConfigError if it was not under way then."""
     rerun = Rerun(experiment, robot)
-    memory = RobotHistory(rerun.agent)
+    history = RobotHistory(rerun.agent)
 
     def noted() -> Iterator[LogMessage]:
         for line in lines:
             if line.topic is topics.STATE:
-                memory.states.append((line.header.stamp_ns, decode(RobotState, line.payload, "log", line.topic.name)))
+                history.states.append((line.header.stamp_ns, decode(RobotState, line.payload, "log", line.topic.name)))
             if line.topic is topics.TRUTH:
-                memory.truths.append((line.header.stamp_ns, decode(Truth, line.payload, "log", line.topic.name)))
+                history.truths.append((line.header.stamp_ns, decode(Truth, line.payload, "log", line.topic.name)))
             else:
                 yield line
 
     for _, message, _ in rerun.run(noted()):
         if isinstance(message, Plan):
-            memory.plan = message
-    memory.agent = rerun.agent
-    if not memory.states or rerun.agent.trajectory is None or rerun.agent.mode not in (Mode.TRACKING, Mode.HOLDING):
+            history.plan = message
+    history.agent = rerun.agent
+    if not history.states or rerun.agent.trajectory is None or rerun.agent.mode not in (Mode.TRACKING, Mode.HOLDING):
         raise ConfigError(f"robot {robot}: was {rerun.agent.mode.name} then, not under way")
-    return memory
+    return history
 
 
 def resume(
-    experiment: Experiment, memories: Sequence[RobotHistory], seed: int, clock_ns: Callable[[], int] = lambda: 0
+    experiment: Experiment, histories: Sequence[RobotHistory], seed: int, clock_ns: Callable[[], int] = lambda: 0
 ) -> tuple[AgentFleet, DirectPlant]:
-    """The fleet and its plant in the state of the moment, ready to fly on."""
-    at_ns = round(max(FormationPlans().clock_s(memory.state) or 0.0 for memory in memories) * NS)
-    eta, nu = np.array([_pose_at_moment(memory, k, experiment.robot_ids) for k, memory in enumerate(memories)]).transpose(
+    """The fleet and its plant as they were at the end of the robots' histories, ready to fly on."""
+    at_ns = round(max(FormationPlans().clock_s(history.state) or 0.0 for history in histories) * NS)
+    eta, nu = np.array([_pose_at_moment(history, k, experiment.robot_ids) for k, history in enumerate(histories)]).transpose(
         1, 0, 2
     )
     water = DirectPlant(experiment, seed, eta)
-    now_ns = memories[0].now_ns if memories[0].now_ns < SIMULATED_BELOW_NS else at_ns
-    armed = [_is_armed(memory.state) for memory in memories]
-    water.resume_at(eta, nu, _pulses(experiment, memories), armed, now_ns, now_ns - at_ns)
-    trajectories = {r: m.agent.trajectory for r, m in zip(experiment.robot_ids, memories, strict=True) if m.agent.trajectory}
+    now_ns = histories[0].now_ns if histories[0].now_ns < SIMULATED_BELOW_NS else at_ns
+    armed = [_is_armed(history.state) for history in histories]
+    water.resume_at(eta, nu, _pulses(experiment, histories), armed, now_ns, now_ns - at_ns)
+    trajectories = {r: h.agent.trajectory for r, h in zip(experiment.robot_ids, histories, strict=True) if h.agent.trajectory}
     fleet = AgentFleet(experiment, trajectories, water, seed, clock_ns)
     fleet.now_ns = at_ns
-    for i, (robot, memory) in enumerate(zip(fleet.robots, memories, strict=True)):
-        robot.agent = memory.agent
-        robot.plan = StampedPlan(memory.plan, at_ns) if memory.plan is not None else None
-        robot.states.append(memory.state)
-        fleet.ahead_ns[i] = memory.now_ns - at_ns
+    for i, (robot, history) in enumerate(zip(fleet.robots, histories, strict=True)):
+        robot.agent = history.agent
+        robot.plan = StampedPlan(history.plan, at_ns) if history.plan is not None else None
+        robot.states.append(history.state)
+        fleet.ahead_ns[i] = history.now_ns - at_ns
     fleet.expose(at_ns)
     return fleet, water
 
@@ -111,34 +111,34 @@ def _is_armed(state: RobotState) -> bool:
     return state.board is not None and state.board.armed
 
 
-def _pose_at_moment(memory: RobotHistory, row: int, robots: Sequence[int]) -> tuple[Array, Array]:
+def _pose_at_moment(history: RobotHistory, row: int, robots: Sequence[int]) -> tuple[Array, Array]:
     """Pose and velocity of a robot at the moment: the truth between its samples, or the robot's estimate."""
-    stamps = np.array([stamp for stamp, _ in memory.truths], dtype=np.float64)
-    truths = [truth for _, truth in memory.truths if truth.robots == tuple(robots)]
-    if len(truths) != len(stamps) or len(stamps) < 2 or np.abs(stamps - memory.now_ns).min() > SAME_CLOCK_NS:
-        estimate = memory.state.estimate
+    stamps = np.array([stamp for stamp, _ in history.truths], dtype=np.float64)
+    truths = [truth for _, truth in history.truths if truth.robots == tuple(robots)]
+    if len(truths) != len(stamps) or len(stamps) < 2 or np.abs(stamps - history.now_ns).min() > SAME_CLOCK_NS:
+        estimate = history.state.estimate
         if estimate is None:
             raise ConfigError("at that moment a robot does not know where it is, and the log has no truth of it")
         return estimate.eta, estimate.nu
 
     def between(rows: Array) -> Array:
-        return np.array([np.interp(memory.now_ns, stamps, column) for column in rows.T])
+        return np.array([np.interp(history.now_ns, stamps, column) for column in rows.T])
 
     eta = np.array([truth.eta[row] for truth in truths])
     eta[:, 3] = np.unwrap(eta[:, 3])
     return between(eta), between(np.array([truth.nu[row] for truth in truths]))
 
 
-def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Array]:
+def _pulses(experiment: Experiment, histories: Sequence[RobotHistory]) -> list[Array]:
     """Pulses of all robots (n, 8) in their last control steps, the newest last; neutral for a board that was not armed."""
     count = round(THRUST_MEMORY_S / experiment.controller.period_s)
     neutral = tuple(map(float, experiment.vehicle.neutral_us))
 
-    def of(memory: RobotHistory) -> list[tuple[float, ...]]:
-        pulses = [tuple(map(float, s.pulse_us)) if _is_armed(s) else neutral for _, s in memory.states[-count:]]
+    def of(history: RobotHistory) -> list[tuple[float, ...]]:
+        pulses = [tuple(map(float, s.pulse_us)) if _is_armed(s) else neutral for _, s in history.states[-count:]]
         return [neutral] * (count - len(pulses)) + pulses
 
-    return [np.array(step) for step in zip(*map(of, memories), strict=True)]
+    return [np.array(step) for step in zip(*map(of, histories), strict=True)]
 
 
 def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> tuple[Experiment, list[str]]:
@@ -196,8 +196,8 @@ def faults_by_hand(run: Path) -> list[tuple[str, str]]:
 def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:
     """Fleet and plant as they were `at_s` along the trajectories of the run in `source`. Raises ConfigError, and leaves no
     files behind, if the run does not hold that moment."""
-    memories = [_read_history(experiment, source, at_s, robot) for robot in experiment.robot_ids]
-    return resume(experiment, memories, experiment.seed, time.perf_counter_ns)
+    histories = [_read_history(experiment, source, at_s, robot) for robot in experiment.robot_ids]
+    return resume(experiment, histories, experiment.seed, time.perf_counter_ns)
 
 
 def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int) -> RobotHistory:

@@ -110,7 +110,7 @@ class HilBoard:
                 pass
         data = self._link.read()
         self._board.receive(data, now_ns)
-        self._check(now_ns)
+        self._require_hil(now_ns)
         self._note_outputs()
         if self.measures(now_ns):
             reading = self.sensors.read(eta, nu, acceleration, tilt, now_ns * 1e-9)
@@ -145,7 +145,7 @@ class HilBoard:
         except OSError as error:
             log.warning("robot %d: the times of signatures cannot be kept: %s", self._robot_id, error)
 
-    def _check(self, now_ns: int) -> None:
+    def _require_hil(self, now_ns: int) -> None:
         """Raise Failed for a board that is silent, or not in HIL mode."""
         board = self._board
         if board.hil is False:

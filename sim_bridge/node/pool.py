@@ -181,7 +181,7 @@ class PoolNode:
                     log.warning("simulation was %.2f s late; time skipped", -ahead_s)
                     begin_ns -= round(ahead_s * 1e9)
         finally:
-            _end(camera, exposures)
+            _end_camera(camera, exposures)
 
     def _expose(self, world: World, begin_ns: int, exposures: "queue.Queue[Exposure | None]") -> None:
         """Publish the truth, and hand an exposure to the camera; left out if that is still busy with those before."""
@@ -362,7 +362,7 @@ class PoolNode:
             self._sockets.wait(SLICE_S)
 
 
-def _end(camera: threading.Thread, exposures: "queue.Queue[Exposure | None]") -> None:
+def _end_camera(camera: threading.Thread, exposures: "queue.Queue[Exposure | None]") -> None:
     """End the camera's thread after the waiting exposures; a thread that has failed is not waited for."""
     while camera.is_alive():
         with contextlib.suppress(queue.Full):

@@ -53,7 +53,7 @@ class Rerun:
             header = line.header
             try:
                 message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
-                _check(message)
+                _check_columns(message)
             except DecodeError as error:
                 yield self._missing(str(error), header.stamp_ns)
                 continue
@@ -134,7 +134,7 @@ class Rerun:
         return topics.EVENT, Event(WARNING, f"agent-{self._robot}", what), now_ns
 
 
-def _check(message: Any) -> None:
+def _check_columns(message: Any) -> None:
     """Raise DecodeError for a step whose columns about plans differ in length."""
     if isinstance(message, StepInputs):
         named = (message.plan_sessions, message.plan_sequences, message.plan_instants_ns)

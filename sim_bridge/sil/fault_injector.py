@@ -38,12 +38,12 @@ class ProcessFaultInjector:
         for fault in [f for f in self._waiting if f.at_s <= time_s]:
             self._waiting.remove(fault)
             self._broken.append(fault)
-            self._do(fault, undo=False)
+            self._act(fault, undo=False)
         for fault in [f for f in self._broken if not f.holds(time_s)]:
             self._broken.remove(fault)
-            self._do(fault, undo=True)
+            self._act(fault, undo=True)
 
-    def _do(self, fault: Fault, undo: bool) -> None:
+    def _act(self, fault: Fault, undo: bool) -> None:
         """Begin a fault, or undo it, and say so. While another of its kind lasts, undoing goes back to that one."""
         if fault.broken.effect == "killed":
             self.killed.add(fault.broken.process)

@@ -79,8 +79,8 @@ def run(
     key_values = dependences(campaign, ordered)
     for line in (*lines(ordered, key_values), *_method(campaign, ordered)):
         console.print(line, highlight=False, soft_wrap=True)
-    _say(ordered, total, console)
-    is_whole = _write(campaign, ordered, key_values, folder, console) and is_whole
+    _print_outcome(ordered, total, console)
+    is_whole = _write_results(campaign, ordered, key_values, folder, console) and is_whole
     if stop.requested:
         console.print(f"interrupted after {len(ordered)} of {total} flights; --resume goes on")
         return 130
@@ -143,7 +143,7 @@ class Journal:
             raise OSError(error.errno, error.strerror, str(self._path)) from None
 
 
-def _write(
+def _write_results(
     campaign: Campaign,
     rows: Sequence[dict[str, Any]],
     key_values: Mapping[str, Sequence[KeyValue]],
@@ -176,7 +176,7 @@ def _method(campaign: Campaign, rows: Sequence[Mapping[str, Any]]) -> Iterator[s
         yield "control step: median {} µs, 99 % {} µs (means over the flights)".format(*map(mean, times))
 
 
-def _say(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:
+def _print_outcome(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:
     """Print the number of flights that flew, and the first reason of those that did not."""
     count = Counter(row["status"] for row in rows)
     summary = f"{count['flown']} of {total} flights flown, {count['refused']} refused, {count['failed']} failed"

@@ -122,7 +122,7 @@ def run(
         separation_m=2.0 * plain.safety.radius_m,
         commit=code().commit,
     )
-    _write(folder / "comparison.json", comparison.to_json())
+    _write_results(folder / "comparison.json", comparison.to_json())
     lost = next((flight for flight in flights if not isinstance(flight, FlightRecord)), None)
     if lost is not None:
         console.print(
@@ -133,7 +133,7 @@ def run(
     return programs.start("groundstation", ["benchmark", "report", str(folder)]).wait() or int(lost is not None)
 
 
-def _write(path: Path, text: str) -> None:
+def _write_results(path: Path, text: str) -> None:
     """Write what may be hours of flights: where the disk does not take it, into the system's folder for temporary files.
     Raises ConfigError that says where it is."""
     try:

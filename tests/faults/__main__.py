@@ -25,7 +25,7 @@ MAX_STUCK = 3  # of a row, before it is given up
 
 
 def fly_row(row: FaultRow, times: int, seed: int, console: Console) -> RowOutcome:
-    """All injections of a row. A rig that gets stuck counts as a failure of the row, and is built anew."""
+    """All injections of a row. A rig that gets stuck, or a row that breaks, fails this row alone; the rig is built anew."""
     samples: list[Sample] = []
     stuck: list[str] = []
     wrong = not_finite = 0
@@ -41,9 +41,9 @@ def fly_row(row: FaultRow, times: int, seed: int, console: Console) -> RowOutcom
                     samples.append(row.inject(rig, random))
                     shown = "  ".join(f"{name} {value:.3f}" for name, value in samples[-1].items())
                     console.print(f"{row.key} {len(samples)}/{times}: {shown}", highlight=False, soft_wrap=True)
-            except Stuck as error:
-                stuck.append(str(error))
-                console.print(f"[red]{row.key}: {error}[/]", soft_wrap=True)
+            except Exception as error:
+                stuck.append(str(error) if isinstance(error, Stuck) else f"{type(error).__name__}: {error}")
+                console.print(f"[red]{row.key}: {stuck[-1]}[/]", soft_wrap=True)
             if rig is not None:
                 wrong, not_finite = wrong + rig.wrongly_taken(), not_finite + rig.not_finite
     return RowOutcome.of(row, samples, seed, stuck, wrong, not_finite)

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from shoal.messages.messages import CommandKind, Mode, required
+from shoal.messages.messages import CommandKind, Mode
 from tests.faults.onlooker import Heard, Stuck
 from tests.faults.patched import DEAF_ROBOT, START_LATE, SWITCH_LOST
 from tests.faults.rig import Rig
@@ -142,12 +142,12 @@ def switch_partial(rig: Rig, random: Random) -> Sample:
 
 def _off_shape_m(rig: Rig, one: int, other: int, ns: int) -> float:
     """By how much the distance of two robots' references is another than before, at most, while both track."""
-    theirs = {h.ns: required(h.state.control).eta_reference[:2] for h in rig.since(other, ns) if _tracks(h)}
-    apart_m = [
-        float(np.linalg.norm(required(h.state.control).eta_reference[:2] - theirs[min(theirs, key=lambda at: abs(at - h.ns))]))
-        for h in rig.since(one, ns)
-        if _tracks(h) and theirs
-    ]
+    ours, theirs = ({h.ns: h.state.control for h in rig.since(robot, ns) if _tracks(h)} for robot in (one, other))
+    apart_m = []
+    for at_ns, control in ours.items():
+        beside = theirs[min(theirs, key=lambda ns: abs(ns - at_ns))] if theirs else None
+        if control is not None and beside is not None:
+            apart_m.append(float(np.linalg.norm(control.eta_reference[:2] - beside.eta_reference[:2])))
     return max(abs(m - apart_m[0]) for m in apart_m)
 
 

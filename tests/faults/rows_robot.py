@@ -26,7 +26,8 @@ def agent_killed(rig: Rig, random: Random) -> Sample:
     begin_ns = time.monotonic_ns()
     rig.wait(lambda: any(True for _ in rig.since(robot, begin_ns)), "restarted agent heard")
     time.sleep(0.3)
-    armed = any(h.state.mode is not Mode.DISARMED or required(h.state.board).armed for h in rig.since(robot, begin_ns))
+    states = [heard.state for heard in rig.since(robot, begin_ns)]
+    armed = any(state.mode is not Mode.DISARMED or (state.board is not None and state.board.armed) for state in states)
     return {"neutral": neutral_s, "restarted and not disarmed": float(armed)}
 
 
@@ -91,7 +92,8 @@ def solver_unsolved(rig: Rig, random: Random) -> Sample:
     robot = int(random.choice(rig.robots))
     ns = rig.signal(f"agent-{robot}", signal.SIGALRM)
     neutral_s = rig.neutral_s(ns, [robot])
-    shifted = sum(required(h.state.control).solve is Solve.SHIFTED for h in rig.since(robot, ns))
+    controls = [h.state.control for h in rig.since(robot, ns)]
+    shifted = sum(control is not None and control.solve is Solve.SHIFTED for control in controls)
     rig.signal(f"agent-{robot}", signal.SIGKILL)
     rig.restart(f"agent-{robot}")
     return {"neutral": neutral_s, "shifted plans": float(shifted)}
@@ -117,11 +119,15 @@ def link_garbage(rig: Rig, random: Random) -> Sample:
     wire.trouble = LineTrouble()
     ns = time.monotonic_ns()
     rig.wait(lambda: any(at > ns for at, _ in board.taken[-5:]), "board takes overrides again", 5.0)
-    rig.wait(lambda: any(required(h.state.timing.board_age_ms) < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
-    heard_ns = next(h.ns for h in rig.since(robot, ns) if required(h.state.timing.board_age_ms) < 40.0)
+
+    def heard_at_ns() -> list[int]:
+        ages = [(h.ns, h.state.timing.board_age_ms) for h in rig.since(robot, ns)]
+        return [at_ns for at_ns, age_ms in ages if age_ms is not None and age_ms < 40.0]
+
+    rig.wait(lambda: bool(heard_at_ns()), "telemetry again", 5.0)
     return {
         "board in step again": (next(at for at, _ in board.taken if at > ns) - ns) * 1e-9,
-        "agent in step again": (heard_ns - ns) * 1e-9,
+        "agent in step again": (heard_at_ns()[0] - ns) * 1e-9,
     }
 
 

@@ -1,6 +1,5 @@
 """A station's side of the page without a cycle: it views the fleet when asked, and notes what is requested."""
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,7 +8,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Finding, Fleet, FleetInboxes, LinkMonitor, blocking_findings, subscribe_fleet
-from groundstation.web.backend import Status
+from groundstation.web.backend import ALWAYS, Status, Validity
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
 from shoal.messages.messages import CommandKind, DriveVelocity, Trajectory
@@ -50,10 +49,9 @@ class FakeStation:
         via: Sequence[tuple[float, float]] = (),
         only: int = 0,
         text: str = "",
-        until_s: float = math.inf,
-        asked_s: float = math.inf,
+        valid: Validity = ALWAYS,
     ) -> tuple[str, int]:
-        if time.monotonic() > until_s or self.asked_s > asked_s:
+        if time.monotonic() > valid.until_s or self.asked_s > valid.asked_s:
             return "too late", 0
         self.asked_s = time.monotonic()
         self.orders.append(order)
@@ -64,11 +62,11 @@ class FakeStation:
     def draft(self, order: CommandKind, text: str) -> PlanSegment:
         raise PlanError(f"{text}: nothing flies here")
 
-    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
-        if time.monotonic() > until_s:
+    def drive(self, robot: int, velocity: DriveVelocity, valid: Validity = ALWAYS) -> str:
+        if time.monotonic() > valid.until_s:
             return "too late"
         self.drives.append((robot, velocity))
         return "" if robot in self.experiment.robot_ids else f"no robot {robot}"
 
-    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
-        return ("too late", 0) if time.monotonic() > until_s else ("", 1)
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool, valid: Validity = ALWAYS) -> tuple[str, int]:
+        return ("too late", 0) if time.monotonic() > valid.until_s else ("", 1)

@@ -1,7 +1,9 @@
 """Requests as a terminal makes them, how long it waits for each, and what it makes of the answers."""
 
 import math
+import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -55,6 +57,28 @@ def test_a_path_goes_in_one_message_or_is_refused() -> None:
     with pytest.raises(ConfigError, match=rf"pool: its path has \d+ characters \(allowed: {LONGEST_TEXT}"):
         path(1000)
     assert not client.flight_of("pool", []).localizer.uses_camera and load_experiment("pool").localizer.uses_camera
+
+
+@pytest.mark.parametrize("hung", ["path", "keys"])
+def test_a_disk_that_hangs_holds_no_request_up_for_ever(hung: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that waits for such a disk hears no Ctrl-C either."""
+    is_back = threading.Event()
+
+    def read(*_: object) -> bytes:
+        is_back.wait()
+        raise OSError("the disk is back")
+
+    monkeypatch.setattr("shoal.config.loader.read_regular", read)
+    monkeypatch.setattr("shoal.bus.network.open_keys", read)
+    monkeypatch.setattr(client, "READ_WITHIN_S", 0.2)
+    try:
+        with pytest.raises(ConfigError, match=rf"{tmp_path}.* cannot be read within 0.2 s: does its disk answer"):
+            if hung == "path":
+                client.flight_of(str(tmp_path / "square.toml"), [])
+            else:
+                client.connect("tls/192.0.2.10:7447", keys=tmp_path)
+    finally:
+        is_back.set()
 
 
 def test_gains_without_any_are_those_of_before() -> None:

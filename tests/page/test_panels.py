@@ -16,7 +16,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from groundstation.planning import planner
-from groundstation.telemetry import Finding
+from groundstation.telemetry import Finding, RobotView
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.messages import (
@@ -55,6 +55,25 @@ def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
         desk.own_status = quiet
         expect(page.get_by_label("Alarms")).not_to_contain_text("no space left")
         desk.own_status = loud
+        expect(button(page, "Silence")).to_be_visible()
+
+
+def test_an_alarm_that_grows_worse_is_loud_again(browser: Browser) -> None:
+    """A person has silenced a battery's warning, with all else, when it falls below what a robot needs to arm."""
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page, battery = desk.page, desk.experiment.vehicle.battery
+
+        def falls_to(volts: float) -> None:
+            state = RobotState(timing=FRESH, board=BoardReading(battery_v=volts))
+            views = {1: RobotView(state, 0.0)}
+            desk.own_status = replace(desk.own_status, recorder_error="no space left", views=views)
+
+        falls_to(battery.warn_v - 0.1)
+        page.goto(desk.url)
+        expect(page.get_by_label("Alarms")).to_contain_text("battery")
+        button(page, "Silence").click()
+        expect(button(page, "Silence")).to_have_count(0)
+        falls_to(battery.no_arm_v - 0.1)
         expect(button(page, "Silence")).to_be_visible()
 
 

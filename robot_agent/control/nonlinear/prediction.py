@@ -165,15 +165,15 @@ def motion(dynamics: Dynamics, pose: tuple[float, float, float, float], force: F
 
 @kernel(part=True)
 def jacobian(hull: Hull, u: float, v: float, r: float) -> Jacobian:
-    """Derivatives of the accelerations."""
+    """Derivatives of the accelerations u', v', r' of `motion` by u, v, r; that of speed by u is u / speed."""
     speed, ratio = math.sqrt(u * u + v * v), hull.mass_v / hull.mass_u
-    bend = 1.0 / speed if speed > 1e-9 else 0.0
+    per_speed = 1.0 / speed if speed > 1e-9 else 0.0
     return Jacobian(
-        -(hull.linear_u + hull.quadratic_u * (speed + u * u * bend)) / hull.mass_u,
-        ratio * r - hull.quadratic_u * u * v * bend / hull.mass_u,
+        -(hull.linear_u + hull.quadratic_u * (speed + u * u * per_speed)) / hull.mass_u,
+        ratio * r - hull.quadratic_u * u * v * per_speed / hull.mass_u,
         ratio * v,
-        -hull.sway * (hull.quadratic_v * u * v * bend / hull.mass_v + r / ratio),
-        -hull.sway * (hull.linear_v + hull.quadratic_v * (speed + v * v * bend)) / hull.mass_v,
+        -hull.sway * (hull.quadratic_v * u * v * per_speed / hull.mass_v + r / ratio),
+        -hull.sway * (hull.linear_v + hull.quadratic_v * (speed + v * v * per_speed)) / hull.mass_v,
         -hull.sway * u / ratio,
         (hull.mass_u - hull.mass_v) * v / hull.inertia,
         (hull.mass_u - hull.mass_v) * u / hull.inertia,
@@ -206,26 +206,29 @@ def step_from(state: Floats, rates: Rates, step_s: float, there: Floats) -> None
 def spread_tangents(
     dynamics: Dynamics, state: Floats, middle: Floats, shares: LagShares, step_s: float, reached: int, tangent: Table
 ) -> None:
-    """Carry the first `reached` columns of the derivatives `tangent` (12, columns) on by a step: rows 0 to 8 are those of the
-    state, the last three those of the thrust halfway. `middle` (9,) is the state halfway."""
+    """Carry the first `reached` columns d of the derivatives `tangent` (12, columns) on by a step of the midpoint rule: rows 0
+    to 8 are those of the state, the last three those of the thrust halfway. `middle` (9,) is the state halfway.
+
+        d_half = d + step / 2 A(state) d        d <- d + step A(middle) d_half        A: derivative of `motion`
+    """
     hull, half = dynamics.hull, 0.5 * step_s
-    a = jacobian(hull, state[U], state[V], state[R])
-    b = jacobian(hull, middle[U], middle[V], middle[R])
+    now = jacobian(hull, state[U], state[V], state[R])
+    mid = jacobian(hull, middle[U], middle[V], middle[R])
     cos, sin = math.cos(middle[YAW]), math.sin(middle[YAW])
     x_yaw, y_yaw = -sin * middle[U] - cos * middle[V], cos * middle[U] - sin * middle[V]
     per_u, per_v, per_r = 1.0 / hull.mass_u, hull.sway / hull.mass_v, 1.0 / hull.inertia
     for c in range(reached):
         yaw, u, v, r = tangent[YAW, c], tangent[U, c], tangent[V, c], tangent[R, c]
         yaw_half = yaw + half * r
-        u_half = u + half * (a.u_u * u + a.u_v * v + a.u_r * r + per_u * tangent[SURGE, c])
-        v_half = v + half * (a.v_u * u + a.v_v * v + a.v_r * r + per_v * tangent[SWAY, c])
-        r_half = r + half * (a.r_u * u + a.r_v * v + a.r_r * r + per_r * tangent[MOMENT, c])
+        u_half = u + half * (now.u_u * u + now.u_v * v + now.u_r * r + per_u * tangent[SURGE, c])
+        v_half = v + half * (now.v_u * u + now.v_v * v + now.v_r * r + per_v * tangent[SWAY, c])
+        r_half = r + half * (now.r_u * u + now.r_v * v + now.r_r * r + per_r * tangent[MOMENT, c])
         tangent[X, c] += step_s * (x_yaw * yaw_half + cos * u_half - sin * v_half)
         tangent[Y, c] += step_s * (y_yaw * yaw_half + sin * u_half + cos * v_half)
         tangent[YAW, c] = yaw + step_s * r_half
-        tangent[U, c] = u + step_s * (b.u_u * u_half + b.u_v * v_half + b.u_r * r_half + per_u * tangent[9, c])
-        tangent[V, c] = v + step_s * (b.v_u * u_half + b.v_v * v_half + b.v_r * r_half + per_v * tangent[10, c])
-        tangent[R, c] = r + step_s * (b.r_u * u_half + b.r_v * v_half + b.r_r * r_half + per_r * tangent[11, c])
+        tangent[U, c] = u + step_s * (mid.u_u * u_half + mid.u_v * v_half + mid.u_r * r_half + per_u * tangent[9, c])
+        tangent[V, c] = v + step_s * (mid.v_u * u_half + mid.v_v * v_half + mid.v_r * r_half + per_v * tangent[10, c])
+        tangent[R, c] = r + step_s * (mid.r_u * u_half + mid.r_v * v_half + mid.r_r * r_half + per_r * tangent[11, c])
         for i in range(SURGE, STATES):
             tangent[i, c] *= shares.acting
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from groundstation.mission.command_dispatcher import MOVING
 from groundstation.mission.gain_update import GainStage
 from groundstation.mission.mission import JOIN_WITHIN_S
-from groundstation.mission.objections import MOVING
 from groundstation.mission.request_progress import KEPT
 from groundstation.mission.single_robot import CONFIRMS, DISARMING
 from groundstation.mission.state_machine import (
@@ -20,6 +20,7 @@ from groundstation.mission.state_machine import (
     IN_FLIGHT,
     JOINING,
     NOMINAL,
+    PLANNING,
     TERMINAL,
     WATER,
     MissionState,
@@ -38,7 +39,7 @@ RECENT = 40  # cycles: an outcome may be that much older than the truth, by the 
 OVER_WITHIN_S = 20.0  # of a request that waits for robots in reach; longer than a stage's patience of 10 s and an abort's
 TRAVEL_WITHIN_S = 400.0  # of a request that is done when robots have arrived somewhere
 PAUSE_WITHIN_S = 15.0  # in which RESUME becomes possible, when every robot is fit
-JUMP_S = 2.0  # of progress from one cycle to the next: a robot that drops out may have been the slowest
+JUMP_S = 2.0  # of progress from one cycle to the next
 NEAR_M = 0.15  # of its start
 AT_REST = TERMINAL | {MissionState.WAITING, MissionState.STOPPED}
 ARMS = frozenset(
@@ -91,6 +92,7 @@ class Invariants:
     followed: dict[int, _Followed] = field(default_factory=dict)
     over: dict[int, Progress] = field(default_factory=dict)
     progress_s: float = 0.0
+    counted: dict[int, tuple[int, float]] = field(default_factory=dict)  # by robot that counts: when, and its clock
     joined: bool = False  # robots began to fly, and progress has not moved since
     apart_s: float = 0.0
     flown_s: float = 0.0  # the farthest that any robot has truly come along the roster's trajectory
@@ -121,6 +123,7 @@ class Invariants:
             return
         concerned = {only} if only else set(self.pool.robots)
         self.rests = self.rests | concerned if order in RESTS or ends_a_run else self.rests - concerned
+        self.joined = self.joined or order is CommandKind.RESUME  # a HOLD may follow within the cycle
         if order in ARMS:
             self.arms_ns |= dict.fromkeys(concerned, self.pool.now_ns)
 
@@ -196,7 +199,8 @@ class Invariants:
             elif robot.clock.id.startswith(ALONE):
                 led = CommandKind.GO in self._asked_of(robot.id)
             else:
-                led = mission.state in COMMITTED | JOINING and robot.id in mission.roster.active
+                flies = mission.state in (COMMITTED | JOINING) - PLANNING - {MissionState.PAUSED}
+                led = flies and robot.id in mission.roster.active
             moves = robot.alive and robot.mode in MOVING and self.pool.reach(robot.id)
             self.unled_s[robot.id] = self.unled_s.get(robot.id, 0.0) + STEP_NS * 1e-9 if moves and not led else 0.0
             assert self.unled_s[robot.id] <= LED_WITHIN_S, (
@@ -265,20 +269,23 @@ class Invariants:
             assert self.unstopped_s[robot.id] <= STOPPED_WITHIN_S, f"STOP: robot {robot.id} is {robot.mode.name}"
 
     def progress_is_the_formations(self) -> None:
-        """Progress does not leap, and is nowhere that no robot has come on the roster's trajectory."""
+        """Progress does not leap, and is nowhere that no robot has come on the roster's trajectory. Where the slowest robot
+        drops out it is that of the others, who may be far ahead: they flew on where it did not hear RESUME."""
         mission, plans = self.pool.mission, self.pool.mission.plans
         for robot in self.pool.robots.values():
             if robot.alive and robot.mode in (Mode.TRACKING, Mode.HOLDING) and self.flies(robot, mission.segment):
                 self.flown_s = max(self.flown_s, robot.clock.reached_s)
         if plans.progress_s == 0.0 and mission.state not in JOINING | IN_FLIGHT | {MissionState.PAUSED}:  # a new plan
             self.progress_s = self.flown_s = 0.0
+        slowest_is_out = self.slowest_is_out()
         rests = self.joined or mission.state in JOINING | {MissionState.PAUSED}
         if rests and plans.progress_s > self.flown_s and self.away_m(plans.progress_s) <= self.away_m(self.flown_s):
             self.flown_s = plans.progress_s  # robots go on from where they have come to rest
         if mission.state in IN_FLIGHT | {MissionState.PAUSED}:
             leap_s = plans.progress_s - self.progress_s
             most_s = max(JUMP_S, JOIN_WITHIN_S) if self.joined else JUMP_S  # a late one begins where the others are
-            assert abs(leap_s) <= most_s, f"PROGRESS: leaps by {leap_s:.2f} s in {mission.state.name}"
+            leaps = abs(leap_s) > most_s and not (leap_s > 0.0 and slowest_is_out)
+            assert not leaps, f"PROGRESS: leaps by {leap_s:.2f} s in {mission.state.name}"
             assert plans.progress_s <= self.flown_s + 0.1, (
                 f"PROGRESS: {plans.progress_s:.2f} s, and no robot has come farther than {self.flown_s:.2f} s"
             )
@@ -294,6 +301,17 @@ class Invariants:
             assert self.apart_s <= BEHIND_S, f"PROGRESS: {plans.progress_s:.2f} s, and the slowest is at {slowest_s:.2f} s"
         else:
             self.apart_s = 0.0
+
+    def slowest_is_out(self) -> bool:
+        """True if the robot that had come no farther than the progress counted just now, and counts no more."""
+        mission, now_ns = self.pool.mission, self.pool.now_ns
+        for robot in self.pool.robots.values():
+            if robot.id in mission.roster.active and self.flies(robot, mission.segment):
+                self.counted[robot.id] = now_ns, robot.clock.reached_s
+        return any(
+            0 < now_ns - last_ns <= RECENT * STEP_NS and clock_s <= self.progress_s + 0.1
+            for last_ns, clock_s in self.counted.values()
+        )
 
     def away_m(self, progress_s: float) -> float:
         """The largest true distance of a robot of the formation from its place at a progress."""

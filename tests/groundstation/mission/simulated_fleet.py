@@ -48,7 +48,7 @@ STEP_S = 0.05
 STEP_NS = 50_000_000
 ORDER_TIMEOUT_NS = 500_000_000  # as the station's ORDER_TIMEOUT_S
 MAX_UNANSWERED = 2  # as the station's
-PLANNING_NS = 300_000_000  # from a plan's request to its outcome
+PLANNING_NS = 300_000_000  # from a plan's request to its outcome, usually
 SPEED_MPS = 0.35  # of a robot on its way to its reference
 TEST_NS = 2_000_000_000  # duration of a thruster test
 SESSION = 7  # of the station
@@ -258,6 +258,7 @@ class SimulatedFleet:
     give_up_s: float | None = None
     obstacles: ObstacleSet = field(default_factory=ObstacleSet)  # as the localizer sees them
     now_ns: int = 1_000_000_000
+    planning_ns: int = PLANNING_NS
     on_cycle: Callable[[], None] = lambda: None
     on_beat: Callable[[StationHeartbeat], None] = lambda beat: None
     on_state: Callable[[int, RobotState, bool], None] = lambda robot, state, arrives: None
@@ -396,7 +397,7 @@ class SimulatedFleet:
             request, since_ns = self._planning.setdefault(owner, (wanted, self.now_ns))
             if request is not wanted:
                 self._planning[owner] = wanted, self.now_ns
-            elif self.now_ns - since_ns >= PLANNING_NS:
+            elif self.now_ns - since_ns >= self.planning_ns:
                 del self._planning[owner]
                 outcome: PlanSegment | PlanError
                 try:

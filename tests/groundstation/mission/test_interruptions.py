@@ -33,6 +33,7 @@ from tests.groundstation.mission.judged_run import RunRecord
 from tests.groundstation.mission.simulated_fleet import (
     CIRCLE,
     PLACES,
+    PLANNING_NS,
     SPEED_MPS,
     STEP_NS,
     THREE,
@@ -166,6 +167,30 @@ class Interruptions(RuleBasedStateMachine):
         self.ask(who, CommandKind.HOLD, 0)
         self.pool.run(seconds)
         self.ask(who, CommandKind.RESUME, 0)
+
+    @rule(
+        who=st.sampled_from(PEOPLE),
+        order=st.sampled_from((CommandKind.RETURN, CommandKind.PATH, CommandKind.GO)),
+        k=st.integers(0, 2),
+        cycles=st.integers(1, 2),
+    )
+    def hold_behind_resume(self, who: str, order: CommandKind, k: int, cycles: int) -> None:
+        """From a hold: resume, hold at once, and ask for something else, within the radio's delay; plans are quick."""
+        self.ask(who, CommandKind.HOLD, 0)
+        self.pool.run(3.0)
+        self.pool.planning_ns = STEP_NS
+        for robot in self.pool.robots.values():
+            robot.radio.delay_ns = max(robot.radio.delay_ns, 100_000_000)
+        for asked in (CommandKind.RESUME, CommandKind.HOLD):
+            self.ask(who, asked, 0)
+            for _ in range(cycles):
+                self.pool.step()
+        place_m = PLACES_M[k] if order is CommandKind.GO else None
+        self.ask(
+            who, order, self.ids[k % len(self.ids)] if place_m else 0, place_m, "beside" if order is CommandKind.PATH else ""
+        )
+        self.pool.run(1.0)
+        self.pool.planning_ns = PLANNING_NS
 
     @rule(who=st.sampled_from(PEOPLE), place_m=st.sampled_from(MIDDLES_M))
     def lead_elsewhere(self, who: str, place_m: tuple[float, float]) -> None:

@@ -52,9 +52,9 @@ def furthest_off_m(fleet: SimulatedFleet, flown: Experiment, seconds: float) -> 
     return away_m
 
 
-def shown_plan(fleet: SimulatedFleet, form: str, flown: Experiment | None = None) -> PlanSegment:
+def shown_plan(fleet: SimulatedFleet, order: CommandKind, text: str) -> PlanSegment:
     """Plan that a person is shown before the click."""
-    return fleet.mission.plans.draft(form, flown, fleet.fleet, fleet.now_ns, fleet.mission.state)(never)
+    return fleet.mission.draft(order, text, fleet.fleet, fleet.now_ns)(never)
 
 
 @pytest.fixture
@@ -224,7 +224,7 @@ def test_a_draft_of_a_form_is_the_form_that_is_then_flown(fleet: SimulatedFleet,
         fleet.run(2.0)
     assert fleet.mission.state is state
     before = fleet.mission.segment
-    drafted = shown_plan(fleet, form)
+    drafted = shown_plan(fleet, CommandKind.FORMATION, form)
     assert fleet.mission.segment is before and fleet.mission.plan_request is None
     assert ask(fleet, CommandKind.FORMATION, form) == ""
     while fleet.mission.segment is before:
@@ -232,6 +232,38 @@ def test_a_draft_of_a_form_is_the_form_that_is_then_flown(fleet: SimulatedFleet,
     for robot, trajectory in fleet.mission.segment.trajectories.items():
         assert np.allclose(drafted.trajectories[robot].eta[-1, :3], trajectory.eta[-1, :3], atol=0.01)
         assert not np.allclose(before.trajectories[robot].eta[-1, :3], trajectory.eta[-1, :3], atol=0.1)
+
+
+@pytest.mark.parametrize("order", [CommandKind.PATH, CommandKind.FORMATION])
+@pytest.mark.parametrize("rests", [False, True])
+def test_a_draft_after_a_loss_shows_the_robots_and_their_ways_as_they_are_then_flown(order: CommandKind, rests: bool) -> None:
+    """From a hold the others close up first; at rest the robot that was lost flies again, and each has its own place."""
+    fleet = SimulatedFleet(an_experiment("close-up", APART, PLACES))
+    path = dump_experiment(an_experiment("close-up", APART, BESIDE, 12)).replace('name = "pool"', 'name = "beside"')
+    text = path if order is CommandKind.PATH else "turn 20 over 12"
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    fleet.run(6.0)
+    if not rests:
+        assert ask(fleet, CommandKind.HOLD) == ""
+        fleet.run(4.0)
+    fleet.robots[1].alive = False
+    fleet.run(20.0 if rests else 3.0)
+    if rests:
+        assert fleet.mission.roster.closed
+        assert ask(fleet, CommandKind.DISARM) == ""
+        fleet.robots[1].alive = True
+        until(fleet, MissionState.CANCELLED, 20.0)
+        fleet.run(1.0)
+    drafted, before = shown_plan(fleet, order, text), fleet.mission.segment
+    assert fleet.mission.segment is before and fleet.mission.plan_request is None
+    assert ask(fleet, order, text) == ""
+    fleet.run(2.0)
+    assert fleet.mission.segment is not before, newest(fleet)
+    flown = fleet.mission.roster.trajectories(fleet.mission.segment)
+    assert drafted.trajectories.keys() == flown.keys() == set(fleet.mission.roster.active)
+    for robot, trajectory in flown.items():
+        assert np.allclose(trajectory.eta[[0, -1], :3], drafted.trajectories[robot].eta[[0, -1], :3], atol=0.02)
 
 
 def test_a_path_that_cannot_be_flown_here_leaves_the_one_before(fleet: SimulatedFleet) -> None:
@@ -274,7 +306,6 @@ def test_a_file_changes_form_into_an_order_of_its_robots() -> None:
 
 def test_a_draft_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
     """At rest and from a hold, of another form and of another path: with the ways into place, and on to its end."""
-    flown = with_flight(fleet.core.mission.plans.flown, other())
     for held in (False, True):
         if held:
             assert ask(fleet, CommandKind.START) == ""
@@ -283,7 +314,7 @@ def test_a_draft_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
             assert ask(fleet, CommandKind.HOLD) == ""
             until(fleet, MissionState.PAUSED, 10.0)
             fleet.run(3.0)
-        for segment in (shown_plan(fleet, "column 0.9"), shown_plan(fleet, "", flown)):
+        for segment in (shown_plan(fleet, CommandKind.FORMATION, "column 0.9"), shown_plan(fleet, CommandKind.PATH, other())):
             assert segment.transfer_end_s > segment.centre.begin_s
             begins = {tuple(np.round(t.eta[0, :2], 2)) for t in segment.trajectories.values()}
             assert begins == {tuple(np.round(view.rest[:2], 2)) for view in fleet.fleet.values()}
@@ -307,3 +338,19 @@ def test_each_run_has_laps_of_its_own() -> None:
     (again,) = fleet.core.laps.laps()
     flown_s = min(robot.clock.reached_s for robot in fleet.robots.values())
     assert again.time_s == pytest.approx(flown_s, abs=0.15)
+
+
+def test_a_form_can_be_taken_from_a_hold_that_reaches_the_robots_at_the_paths_end() -> None:
+    """A robot flies on until a HOLD reaches it, and its clock beyond the end; no plan begins there."""
+    fleet = SimulatedFleet(an_experiment("go-on", THREE, PLACES, 20))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    while fleet.mission.plans.progress_s < fleet.mission.segment.end_s - 0.1:
+        fleet.step()
+    for robot in fleet.robots.values():
+        robot.radio.delay_ns = 200_000_000
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(4.0)
+    assert all(robot.clock.reached_s > fleet.mission.segment.end_s for robot in fleet.robots.values())
+    assert ask(fleet, CommandKind.FORMATION, "line 0.8") == ""
+    until(fleet, MissionState.DONE, 60.0)

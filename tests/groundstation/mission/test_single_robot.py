@@ -433,6 +433,26 @@ def test_a_robot_that_is_led_alone_holds_when_its_poses_are_another_experiments(
     assert run.ask(CommandKind.DISARM) == ""
 
 
+@pytest.mark.parametrize(("policy", "mode"), [("hold", Mode.HOLDING), ("warn", Mode.TRACKING)])
+def test_a_robot_that_is_sent_alone_holds_while_obstacles_cannot_be_seen(policy: str, mode: Mode) -> None:
+    """Its person has sent it away and does not steer; one who drives a robot looks at the water."""
+    run = LedRun(f'mission.blind="{policy}"')
+    assert run.ask(CommandKind.ARM) == ""
+    run.step(0.2)
+    assert run.ask(CommandKind.GO, place_m=(1.5, 0.5)) == ""
+    run.step(2.0)
+    assert run.in_mode(2, Mode.TRACKING)
+    run.robots[2].blind = "nobody tells of obstacles any more"
+    run.step(0.5)
+    assert run.in_mode(2, mode)
+    if policy == "hold":
+        assert run.single.tasks[2].reason == "robot 2 blind: nobody tells of obstacles any more"
+        assert run.ask(CommandKind.GO, place_m=(1.5, 0.5)).startswith("robot 2 blind")
+        assert run.drive() == ""
+        run.robots[2].blind = ""
+        assert run.ask(CommandKind.GO, place_m=(1.5, 0.5)) == ""
+
+
 # --- every way in which a task ends or is refused
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from groundstation.planning.feasibility import PICTURE_MARGIN_M, PlanError, figures
 from groundstation.planning.planner import plan, start_poses
+from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages.codec import decode, encode
@@ -137,6 +138,16 @@ def test_open_water_has_no_walls() -> None:
     assert start_poses(experiment, plan(experiment))[1][0] == pytest.approx(20.49)
     with pytest.raises(PlanError, match="wall"):
         plan(pool(path=path))
+
+
+def test_a_path_that_leads_out_of_the_pool_just_after_the_run_is_refused_as_robots_would_refuse_it() -> None:
+    """They look ahead to the last sample of a trajectory; a run that ends earlier, and a path that stops, are flown."""
+    path = {"kind": "waypoints", "points_m": [[-1.4, 0.0], [1.45, 0.0]], "speed_mps": 0.2, "depth_m": 0.3}
+    changes = {"pool": {"size_m": [3.5, 2.5, 1.0]}, "robots": [{"id": 1, "node_m": [0.0, 0.0, 0.0]}], "duration_s": 14.2}
+    with pytest.raises(PlanError, match=r"robot 1: leaves the pool at t = 15\.75 s.* after the end"):
+        plan(pool(path=path, **changes))
+    for experiment in (pool(path=path, **changes | {"duration_s": 12.0}), pool(path=path | {"stop": True}, **changes)):
+        assert [unflyable(t, experiment.pool, experiment.vehicle) for t in plan(experiment).values()] == [""]
 
 
 def test_path_shorter_than_the_run_is_refused() -> None:

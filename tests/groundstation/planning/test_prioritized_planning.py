@@ -170,6 +170,25 @@ def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
         plan_regroup(experiment, first_segment(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, obstacles)
 
 
+@pytest.mark.parametrize("scene", ["crossing-2", "crossing-4", "overtake", "swap"])
+def test_robots_on_paths_through_one_another_are_led_to_places_apart(scene: str) -> None:
+    """They were told to hold while they passed, and are to go on: at no time do all of them have to rest at one place."""
+    experiment = load_experiment(scene)
+    segment, keep_m = first_segment(experiment), 2.0 * experiment.safety.radius_m
+    robots, most_m = experiment.robot_ids, keep_m - 0.005
+    places = np.array([segment.trajectories[robot].eta[:, :3] for robot in robots])
+    apart_m = np.array([np.linalg.norm(a - b, axis=1) for a, b in combinations(places, 2)]).min(axis=0)
+    met_s = PERIOD_S * int(np.argmin(apart_m))
+    assert apart_m.min() < 0.5 * keep_m
+    rests = {robot: segment.trajectories[robot].eta[0] for robot in robots}
+    for progress_s in (met_s - 2.0, met_s):
+        plan = plan_regroup(experiment, segment, 20.0, progress_s, rests, {robot: robot for robot in robots})
+        there = round((plan.transfer_end_s - 20.0) / PERIOD_S)
+        ways = [plan.trajectories[robot].eta[: there + 1, :3] for robot in robots]
+        assert min(np.linalg.norm(a - b, axis=1).min() for a, b in combinations(ways, 2)) > most_m
+        assert plan.end_s - plan.transfer_end_s > 1.0, "the rest of the path is still flown"
+
+
 @pytest.mark.long
 def test_a_dense_fleet_without_transfers_is_refused_in_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty robots of a grid, a third of a circle from where they began: each goal is beside somebody who waits."""

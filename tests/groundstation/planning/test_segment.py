@@ -1,6 +1,7 @@
 """Plans for robots under way: joined without a jump, clear of what lies there, and refused with a reason."""
 
 import time
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
 
@@ -17,7 +18,7 @@ from groundstation.planning.shift import reshape
 from groundstation.telemetry import RobotView
 from robot_agent.guidance.reference import Follow, ReferenceSampler, splice, splice_objection
 from robot_agent.guidance.trajectory_check import unflyable
-from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.config.scene import read_form
 from shoal.frames import Array
 from shoal.messages.codec import decode, encode
@@ -83,6 +84,37 @@ def test_a_detour_from_straight_sides_comes_back_to_them(room_m: float) -> None:
         away_m = np.abs(sample(new.trajectories[robot], late).eta - sample(trajectory, late).eta)[:, :3].max()
         assert away_m < 1e-6 or room_m < 3.0
         assert unflyable(new.trajectories[robot], corner.pool, corner.vehicle) == ""
+
+
+@pytest.mark.parametrize(("begin_s", "place"), [(57.0, (-0.49, -0.12)), (13.1, (-1.09, 0.57)), (49.95, (1.0, 0.26))])
+def test_a_path_that_does_not_stop_ends_at_the_place_that_a_person_gave(begin_s: float, place: tuple[float, float]) -> None:
+    """It does not fly on beyond it, and perhaps out of the pool."""
+    experiment = load_experiment("figure-eight")
+    new = replan(experiment, first_segment(experiment), begin_s, NO_OBSTACLES, [place])
+    end = sample(new.centre, np.array([new.end_s])).eta[0, :2]
+    assert np.hypot(*(end - place)) < 0.01
+    assert all(unflyable(t, experiment.pool, experiment.vehicle) == "" for t in new.trajectories.values())
+
+
+def test_a_form_shortly_before_the_end_is_one_that_robots_can_look_ahead_to() -> None:
+    experiment, form = load_experiment("numeric"), "order 3,1,2"
+    segment, forms = first_segment(experiment), 0
+    for begin_s in np.arange(experiment.duration_s - 10.0, experiment.duration_s - 1.0, 0.5).tolist():
+        with suppress(PlanError):
+            new = reshape(experiment, segment, begin_s, read_form(form, begin_s))
+            assert {unflyable(t, experiment.pool, experiment.vehicle) for t in new.trajectories.values()} == {""}
+            forms += 1
+    assert forms
+
+
+def test_after_a_plan_from_rest_the_formation_still_takes_other_forms() -> None:
+    """Behind the end of that plan there is no stop that the path does not have: it would be a bend that nobody can turn."""
+    experiment = load_experiment("figure-eight", [NO_CAMERA, "path.corner=round"])
+    segment = first_segment(experiment)
+    rests = {robot: trajectory.eta[1020] for robot, trajectory in segment.trajectories.items()}
+    rested = plan_regroup(experiment, segment, 51.0, 51.0, rests, {robot: robot for robot in rests})
+    new = reshape(experiment, rested, 102.1, read_form("turn 40", 102.1))
+    assert {unflyable(t, experiment.pool, experiment.vehicle) for t in new.trajectories.values()} == {""}
 
 
 @pytest.mark.parametrize("scene", ["blocked-path", "islands"])

@@ -32,6 +32,7 @@ from groundstation.station import process
 from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, OVERTAKEN, Station, workers
 from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
+from groundstation.web.backend import Validity
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import HELD_UP, Bus, Inbox, Received
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
@@ -513,10 +514,10 @@ def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
 def test_a_request_that_was_long_in_the_making_is_not_done_after_another(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         begun_s = time.monotonic()
-        assert station.request(CommandKind.LOAD, asked_s=begun_s)[0] == ""
-        reason, number = station.request(CommandKind.LOAD, asked_s=begun_s)
+        assert station.request(CommandKind.LOAD, valid=Validity(asked_s=begun_s))[0] == ""
+        reason, number = station.request(CommandKind.LOAD, valid=Validity(asked_s=begun_s))
         assert "another request was made" in reason and number == 0
-        assert "another request" not in station.request(CommandKind.LOAD, asked_s=time.monotonic())[0]
+        assert "another request" not in station.request(CommandKind.LOAD, valid=Validity(asked_s=time.monotonic()))[0]
 
 
 class _HandClock:
@@ -626,8 +627,8 @@ def test_a_path_that_was_read_while_somebody_asked_for_something_else_is_not_flo
     with a_station(tmp_path, MemoryHub()) as station:
         path, asked_s = dump_experiment(load_experiment("figure-eight")), time.monotonic()
         station.request(CommandKind.HOLD)  # also one that is refused: its sender may see to the fleet by something else
-        assert station.request(CommandKind.PATH, text=path, asked_s=asked_s)[0] == OVERTAKEN
-        assert station.request(CommandKind.PATH, text=path, asked_s=time.monotonic())[0] != OVERTAKEN
+        assert station.request(CommandKind.PATH, text=path, valid=Validity(asked_s=asked_s))[0] == OVERTAKEN
+        assert station.request(CommandKind.PATH, text=path, valid=Validity(asked_s=time.monotonic()))[0] != OVERTAKEN
 
 
 def test_a_velocity_that_came_to_its_turn_too_late_leads_no_robot(tmp_path: Path) -> None:
@@ -637,9 +638,9 @@ def test_a_velocity_that_came_to_its_turn_too_late_leads_no_robot(tmp_path: Path
         fleet.modes = {1: Mode.HOLDING, 2: Mode.HOLDING}
         fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
         ahead = DriveVelocity(0.1, 0.0, 0.0)
-        assert station.drive(2, ahead, time.monotonic() - 0.1) == HELD_UP
+        assert station.drive(2, ahead, Validity(time.monotonic() - 0.1)) == HELD_UP
         assert not station.mission.roster.led_by_people
-        assert station.drive(2, ahead, time.monotonic() + PATIENCE_S) == ""
+        assert station.drive(2, ahead, Validity(time.monotonic() + PATIENCE_S)) == ""
         assert station.mission.roster.led_by_people == {2}
 
 

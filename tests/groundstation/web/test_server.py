@@ -4,7 +4,6 @@ import contextlib
 import fcntl
 import json
 import logging
-import math
 import os
 import select
 import socket
@@ -30,6 +29,7 @@ from groundstation.deploy import key_ring
 from groundstation.planning import planner
 from groundstation.telemetry import RobotView
 from groundstation.web import client_hub, connection_limits, protocol, server
+from groundstation.web.backend import ALWAYS, Validity
 from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
 from groundstation.web.send_window import UNACKNOWLEDGED
 from groundstation.web.server import WebServer, bind
@@ -70,23 +70,22 @@ class ServedStation(FakeStation):
         via: Sequence[tuple[float, float]] = (),
         only: int = 0,
         text: str = "",
-        until_s: float = math.inf,
-        asked_s: float = math.inf,
+        valid: Validity = ALWAYS,
     ) -> tuple[str, int]:
         if self.blocked is not None and order is not CommandKind.STOP:
             self.blocked.wait(PATIENCE_S)
-        accepted = super().request(order, via, only, text, until_s, asked_s)
+        accepted = super().request(order, via, only, text, valid)
         return ("not now", 0) if order is CommandKind.HOLD else accepted
 
-    def drive(self, robot: int, velocity: DriveVelocity, until_s: float = math.inf) -> str:
+    def drive(self, robot: int, velocity: DriveVelocity, valid: Validity = ALWAYS) -> str:
         if self.blocked is not None:
             self.blocked.wait(PATIENCE_S)
-        return super().drive(robot, velocity, until_s)
+        return super().drive(robot, velocity, valid)
 
-    def request_gains(self, values: Any, next_lap: bool, until_s: float = math.inf) -> tuple[str, int]:
+    def request_gains(self, values: Any, next_lap: bool, valid: Validity = ALWAYS) -> tuple[str, int]:
         if self.blocked is not None:
             self.blocked.wait(PATIENCE_S)
-        return super().request_gains(values, next_lap, until_s)
+        return super().request_gains(values, next_lap, valid)
 
     def open(self, **options: Any) -> "PageClient":
         options.setdefault("origin", f"http://127.0.0.1:{self.port}")

@@ -2,6 +2,7 @@
 
 import { effect, signal } from "@preact/signals";
 import { alarms, scene } from "./store";
+import type { Alarm } from "./wire";
 
 const AGAIN_MS = 3000;
 
@@ -44,14 +45,19 @@ const TONES = { critical: [880, 660, 880], warning: [660, 520], notice: [] };
 
 const known = new Set<string>();
 
+/** A cause at its level: one that grows worse is another. */
+export function causeOf({ level, key }: Alarm): string {
+  return `${level} ${key}`;
+}
+
 effect(() => {
   const current = alarms.value;
-  const causes = new Set(current.map((alarm) => alarm.key));
+  const causes = new Set(current.map(causeOf));
   for (const key of known) if (!causes.has(key)) known.delete(key);
   const gone = [...silenced.peek()].some((key) => !causes.has(key)); // what comes again was not silenced
   if (gone) silenced.value = new Set([...silenced.peek()].filter((key) => causes.has(key)));
-  const fresh = current.filter((alarm) => !known.has(alarm.key));
-  for (const alarm of fresh) known.add(alarm.key);
+  const fresh = current.filter((alarm) => !known.has(causeOf(alarm)));
+  for (const alarm of fresh) known.add(causeOf(alarm));
   const worst = fresh.find((alarm) => alarm.level === "critical") ?? fresh[0];
   if (worst !== undefined) sound(worst.level);
 });
@@ -63,9 +69,9 @@ function sound(level: keyof typeof TONES): void {
 
 /** A critical cause sounds again until it is acknowledged or gone. */
 setInterval(() => {
-  if (alarms.peek().some((alarm) => alarm.level === "critical" && !silenced.peek().has(alarm.key))) sound("critical");
+  if (alarms.peek().some((alarm) => alarm.level === "critical" && !silenced.peek().has(causeOf(alarm)))) sound("critical");
 }, AGAIN_MS);
 
 export function acknowledgeAlarms(): void {
-  silenced.value = new Set(alarms.peek().map((alarm) => alarm.key));
+  silenced.value = new Set(alarms.peek().map(causeOf));
 }

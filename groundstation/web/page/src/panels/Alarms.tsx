@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 import { moment } from "../clock";
-import { acknowledgeAlarms, silenced } from "../sound";
+import { acknowledgeAlarms, causeOf, silenced } from "../sound";
 import { robotNames, together } from "../robot/names";
 import { alarms, lines, scene, shown } from "../store";
 import type { LogLine } from "../wire";
@@ -12,7 +12,7 @@ const LEVEL = ["", "debug", "info", "warning", "error", "fatal"];
 
 export function Alarms() {
   const current = alarms.value;
-  const loud = scene.value?.replay === undefined && current.some((alarm) => alarm.level === "critical" && !silenced.value.has(alarm.key));
+  const loud = scene.value?.replay === undefined && current.some((alarm) => alarm.level === "critical" && !silenced.value.has(causeOf(alarm)));
   return (
     <section class="alarms" aria-label="Alarms">
       <h2>

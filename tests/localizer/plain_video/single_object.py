@@ -1,6 +1,6 @@
 """Tracking of one object in plain pictures, in pixels: the correlation filters without pool, marker and gates. Pure.
 
-For recordings of an unknown camera (`localizer evaluate`), and to compare the filters with other trackers. The patch turns
+For recordings of an unknown camera, and to compare the filters with other trackers. The patch turns
 with the object: a second filter, over rings around its centre, tells how far. On a real animal that turns this is 0.7 px off
 (median); a patch that keeps its heading is 2.8 px off, at two thirds of the processor time.
 """
