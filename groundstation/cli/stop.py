@@ -157,7 +157,10 @@ class StationStop:
     def _follow(self, keys: Path | None, insecure: bool) -> Reply:
         """Send the stop and follow it until it is done, or no patience is left."""
         from groundstation import client
+        from shoal.bus.network import address_with
 
+        if not self.station.pid:  # nobody knows it here: it is called as its keys have it
+            self.station = replace(self.station, endpoint=address_with(keys, self.station.endpoint))
         patience_s = max(self.patience_s, client.ORDER_TIMEOUT_S)
         fleet = self.station.fleet or DEFAULT_FLEET
         with client.connect_for_requests(self.station, fleet, keys, insecure, patience_s) as bus:

@@ -386,6 +386,7 @@ class StationHeartbeat:
     began_ns: Annotated[Int64, 9] = 0  # Begin of the flight on the station's clock; 0: not known.
     flight_s: Annotated[float, 10] = 0.0  # Planned end of the flight; 0: none, or on the way home.
     other_path: Annotated[bool, 11] = False  # The path that is flown is another experiment's.
+    ready: Annotated[bool, 12] = False  # No flight is under way, and no check of the preflight keeps robots from one.
 
 
 ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own, and whose clock is its own
