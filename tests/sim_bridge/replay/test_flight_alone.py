@@ -62,9 +62,9 @@ def test_a_moment_of_the_run_is_none_of_the_flight_before_it(run: Path) -> None:
 def test_a_moment_of_a_hold_is_the_one_at_which_the_robot_goes_on(tmp_path: Path) -> None:
     """Without a station nothing would resume it: it would hold to the end of the flight."""
     holds, flies = Mode.HOLDING, Mode.TRACKING
-    told = [(flies, 0.95), (flies, 1.0), (holds, 1.05), (holds, 1.05), (flies, 1.1), (flies, 1.1), (flies, 1.15)]
+    states = [(flies, 0.95), (flies, 1.0), (holds, 1.05), (holds, 1.05), (flies, 1.1), (flies, 1.1), (flies, 1.15)]
     recorder = Recorder(tmp_path / "run.mcap", "", {})
-    for k, (mode, flown_s) in enumerate(told):
+    for k, (mode, flown_s) in enumerate(states):
         for topic, message in (
             (topics.INPUTS, StepInputs(step=k)),
             (topics.STATE, RobotState(mode=mode, trajectory_s=flown_s)),
