@@ -79,7 +79,8 @@ def usable_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def without_options(arguments: Sequence[str]) -> list[str]:
-    """The words that are no options, nor values of those that `stop` has. A `stop` is nobody's value."""
+    """The words of a command line that are neither options nor the values of options that `stop` has. The word `stop` is never
+    taken for a value."""
     words, left = list[str](), list(arguments)
     while left:
         word = left.pop(0)
@@ -157,7 +158,10 @@ class StationStop:
     def _follow(self, keys: Path | None, insecure: bool) -> Reply:
         """Send the stop and follow it until it is done, or no patience is left."""
         from groundstation import client
+        from shoal.bus.network import address_with
 
+        if not self.station.pid:  # nobody knows it here: it is called as its keys have it
+            self.station = replace(self.station, endpoint=address_with(keys, self.station.endpoint))
         patience_s = max(self.patience_s, client.ORDER_TIMEOUT_S)
         fleet = self.station.fleet or DEFAULT_FLEET
         with client.connect_for_requests(self.station, fleet, keys, insecure, patience_s) as bus:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from groundstation import client
 from groundstation.fleet_time import FleetTime
-from groundstation.mission.state_machine import READY, request_named
+from groundstation.mission.state_machine import request_named
 from shoal.bus.bus import Bus, Inbox
 from shoal.config.loader import toml_value
 from shoal.messages import topics
@@ -33,7 +33,6 @@ ROBOTS = range(1, 50)  # the ids that an experiment may give
 FRESH_S = 1.0  # since a message came; one that is older is no live state
 LOOK_S = 0.2  # at most between two looks at the time that a wait has left
 KEPT_EVENTS = 1000  # that no call has waited for yet; the oldest are dropped
-READY_LINE = f"mission: {READY}"  # the station's line when no check of the preflight fails
 
 
 class RequestFailed(Exception):
@@ -65,6 +64,7 @@ class ConnectedFleet:
         self._poses = bus.inboxes(topics.POSE, Pose, ROBOTS)
         self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         self._time = FleetTime(self._heartbeat)
+        self._has_listened = self._time.limit(FRESH_S)  # every robot that is heard at all has been heard by then
         self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
         self._mission_line = 0, ""  # the station's last, with its session
         self._taken_with: Header | None = None  # of the newest heartbeat when a request was taken that then went on
@@ -188,7 +188,9 @@ class ConnectedFleet:
 
     @property
     def robots(self) -> tuple[int, ...]:
-        """Ids of the robots that are heard now."""
+        """Ids of the robots that are heard now. Right after the beginning it listens for FRESH_S."""
+        with suppress(NotHeard):
+            self._wait(self._has_listened, FRESH_S)
         return tuple(robot for robot, inbox in self._states.items() if self._fresh(inbox, FRESH_S))
 
     def state(self, robot: int, max_age_s: float = FRESH_S) -> RobotState:
@@ -239,9 +241,14 @@ class ConnectedFleet:
         return "" if received is None else received.message.mission
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:
-        """Wait until the station's preflight finds nothing amiss. Raises NotHeard with what it finds."""
-        if not self._wait(lambda: self._present_line().startswith(READY_LINE), timeout_s):
+        """Wait until no flight is under way, and the station's preflight finds nothing amiss. Raises NotHeard with what it
+        finds."""
+        if not self._wait(self._is_ready, timeout_s):
             raise NotHeard(f"the fleet was not ready within {timeout_s:g} s: {self._present_line() or 'nothing heard'}")
+
+    def _is_ready(self) -> bool:
+        heartbeat = self._heartbeat.newest()
+        return heartbeat is not None and heartbeat.message.ready and self._tells_mission(FRESH_S)
 
     def _present_line(self) -> str:
         """The line about the mission that counts: of the station that is heard now, and of no earlier one. Empty: none."""

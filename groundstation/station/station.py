@@ -23,11 +23,20 @@ from groundstation.mission.mission import ATTENDED, Mission
 from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.state_machine import READY, MissionState, in_words
+from groundstation.mission.state_machine import AT_REST, READY, MissionState, in_words
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import OutOfTime, PlanError
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code, silent_sightings
+from groundstation.telemetry import (
+    DEPLOY,
+    Finding,
+    Fleet,
+    FleetInboxes,
+    LinkMonitor,
+    blocking_findings,
+    other_code,
+    silent_sightings,
+)
 from groundstation.web.backend import ALWAYS, Status, Validity
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import HELD_UP, Bus
@@ -177,6 +186,7 @@ class Station:
             self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns,
             flight_s=0.0 if segment.is_return else segment.end_s,
             other_path=self.mission.plans.flown is not self.experiment,
+            ready=self.mission.state in AT_REST and not self._unfit(),
             sightings=tuple(sightings),
             sightings_m=np.array(list(sightings.values())).reshape(-1, 2),
         )  # fmt: skip
@@ -417,7 +427,7 @@ class Station:
             lasting=self._lasting(),
             tuning=self.tuner.status(),
             laps=self.core.laps.laps(),
-            preflight=blocking_findings(self.experiment, self.views, mission.plans.starts),
+            preflight=self._unfit(),
             refused=mission.refusals(self.views) if self.views else {},
             views=self.views,
             requests=self.requests.recent,
@@ -428,6 +438,10 @@ class Station:
             flown_s=mission.plans.flown.duration_s,
             left_s=max(mission.segment.end_s - mission.plans.progress_s, 0.0),
         )
+
+    def _unfit(self) -> tuple[Finding, ...]:
+        """Findings that keep robots from being armed."""
+        return blocking_findings(self.experiment, self.views, self.mission.plans.starts)
 
     def _log_news(self) -> None:
         """Log, once each, other versions of the code, the recorder's troubles, and every change of the mission."""

@@ -199,13 +199,14 @@ class LogPlayer:
         return map(self._block, range(index, max(index - LINK_BLOCKS, -1), -1))
 
     def events(self) -> list[dict[str, Any]]:
-        """Lines of the run's log, for the page."""
+        """Lines of the run's log, for the page, each with the beginning of the flight from which people count it."""
         notes: list[dict[str, Any]] = []
         leads_ns: dict[int, int] = {}
         for line in self._log.messages(lambda topic, _: topic is topics.EVENT):
             event = _read(Event, line.payload)
             if event is not None:
-                notes.append(event_note(event, self._event_ns(line, leads_ns)))
+                at_ns = self._event_ns(line, leads_ns)
+                notes.append(event_note(event, at_ns) | {"began_s": self.began_ns(at_ns) * 1e-9})
         return notes
 
     def _event_ns(self, line: LogMessage, leads_ns: dict[int, int]) -> int:

@@ -42,17 +42,22 @@ def endpoint(
 ) -> Endpoint:
     """The endpoint for an address, with keys where a key ring is given. With a key ring always TLS, whatever the address says.
     Raises ConfigError for a network that would be open to others without having been asked for."""
-    _, host, port = parse_address(address)
+    _, host, _ = parse_address(address)
     if ring is not None:
         if insecure:
             raise ConfigError("--insecure and --keys: with keys the network is not open; leave one of them out")
-        where = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         keys = open_keys(ring, process)
-        return Endpoint(f"tls/{where}", router, lossless, keys, _access(fleet, ring) if router else None)
+        return Endpoint(address_with(ring, address), router, lossless, keys, _access(fleet, ring) if router else None)
     refuse_open(address, insecure)
     if not is_loopback(host):
         log.warning(INSECURE)
     return Endpoint(address, router, lossless, insecure=not is_loopback(host))
+
+
+def address_with(ring: Path | None, address: str) -> str:
+    """The address that is used for another: with a key ring always TLS. Raises ConfigError for what is none."""
+    _, host, port = parse_address(address)
+    return address if ring is None else f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
 
 
 def _access(fleet: str, ring: Path) -> dict[str, Any]:

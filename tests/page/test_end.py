@@ -19,7 +19,8 @@ from groundstation.web.server import WebServer
 from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import Event, Preview, RobotState
+from shoal.messages.messages import Event, Message, Preview, RobotState, StationHeartbeat
+from shoal.messages.topics import Topic
 from shoal.runtime.web_access import WebOptions
 from sim_bridge.sil.ports import free_port
 from tests.page.elements import answer, button, in_mode
@@ -179,6 +180,32 @@ def test_a_recorded_run_shows_the_lines_and_the_picture_of_its_time(browser: Bro
             expect(age).to_have_text(f"picture {time_s - 2.0:.1f} s old")
         source.seek(1.82, 0.0)
         expect(age).to_have_text("picture 0.0 s")
+        page.context.close()
+
+
+def test_a_mark_counts_from_its_own_flight_and_none_lies_on_another(browser: Browser, tmp_path: Path) -> None:
+    """Two flights: 10 s and 40 s after the log's first message."""
+    (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    lines = [(12.0, "first"), (12.1, "second"), (12.3, "third"), (42.0, "fourth")]
+    messages: list[tuple[Topic, Message, float]] = [(topics.EVENT, Event(3, "agent-1", text), at_s) for at_s, text in lines]
+    messages += [(topics.HEARTBEAT, StationHeartbeat(began_ns=round(at_s * 1e9)), at_s) for at_s in (10.0, 40.0)]
+    messages += [(topics.STATE, RobotState(), float(at_s)) for at_s in range(61)]
+    for number, (topic, message, at_s) in enumerate(sorted(messages, key=lambda one: one[2])):
+        at_ns = round(at_s * 1e9)
+        recorder.put(topic, f"shoal/{topic.key(1)}", Header(1, number, at_ns), encode(message), at_ns)
+    recorder.close()
+    port = free_port()
+    with ReplayBackend(tmp_path) as source, WebServer(source, WebOptions(port=port)):
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{port}/")
+        marks, events = page.locator(".replay .mark"), page.locator(".log li")
+        for time_s in (20.0, 60.0):
+            source.seek(time_s, 0.0)
+            expect(events.last).to_have_text(re.compile(r"^2 s\b.*first"))
+            expect(marks).to_have_count(2)
+            expect(marks.nth(0)).to_have_attribute("title", re.compile(r"^2 s .*first\n2.1 s .*second\n2.3 s .*third$"))
+            expect(marks.nth(1)).to_have_attribute("title", re.compile(r"^2 s .*fourth$"))
         page.context.close()
 
 

@@ -48,6 +48,22 @@ def press(page: Page, kind: str, code: str, key: str, **more: bool) -> None:
     )
 
 
+def test_the_button_to_drive_says_what_it_does_or_why_not(desk: LoneStation) -> None:
+    page = desk.page
+    tile(page, 1).get_by_role("button").click()
+    button_1, send = button(page, "Drive 1"), button(page, "Send 1 to…")
+    expect(button_1).to_have_attribute("title", re.compile("arrows"))
+    button_1.click()
+    expect(button_1).to_have_attribute("title", re.compile("^Leave it"))
+    button_1.click()
+    for mode, why in ((Mode.DISARMED, "arm it first"), (Mode.STOPPED, "not before it is cleared and armed")):
+        desk.robots.publish(topics.STATE, RobotState(mode=mode), time.time_ns(), 1)
+        for led in (button(page, "Drive 1"), send):
+            expect(led).to_have_attribute("title", why)
+    button(page, "You have control").click()
+    expect(send).to_have_attribute("title", "you are watching: take control first")
+
+
 def test_a_robot_is_let_go_when_another_is_chosen_under_the_pointer(desk: LoneStation) -> None:
     page = desk.page
     drive(desk, 1)

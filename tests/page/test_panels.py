@@ -330,8 +330,11 @@ def test_paper_gets_what_is_known_and_no_buttons(browser: Browser) -> None:
         button(page, "Dark").or_(button(page, "Light")).click()
         if page.evaluate("document.documentElement.dataset.theme") == "light":
             button(page, "Dark").click()
+        tile(page, 1).get_by_role("button").click()
+        tile(page, 2).get_by_role("button").click(modifiers=["Shift"])
         page.emulate_media(media="print")
         page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        assert not re.search("(?i)click|press|hold a key", page.locator("body").inner_text())
         for shown in (".mission-state", ".pool canvas", ".alarms", ".plot >> nth=3"):
             expect(page.locator(shown)).to_be_visible()
         assert page.locator("button:visible").count() == page.locator(".tile button").count()

@@ -34,6 +34,7 @@ CAMPAIGN = {
     "name": "mini", "experiment": "pool", "seeds": 6, "sweep": {"sim.plant.mass_error": [0.0, 0.1]},
     "draw": {"sim.plant.current_mps": {"uniform": [[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]]}},
 }  # fmt: skip
+HINTS = r"(?i)\b(drag|click|wheel|Esc)\b"  # what nobody can do on paper
 CHARTS = "document.querySelectorAll('.uplot').length"
 TOO_WIDE = "[...document.querySelectorAll('main, .card, figure')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
 NOTE_PRINTED = """matchMedia("print").addEventListener("change", ({ matches }) => {
@@ -81,6 +82,8 @@ def test_a_broken_runs_report_zooms_together_and_requests_nothing(browser: Brows
     page.evaluate(NOTE_PRINTED)
     page.pdf(format="A4")
     assert page.evaluate("printedPx") < 700  # A4 within its margins: nothing is cut
+    page.emulate_media(media="print")
+    assert not re.search(HINTS, page.locator("main").inner_text())
     assert trouble == []
     page.close()
 

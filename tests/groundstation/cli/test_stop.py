@@ -2,10 +2,12 @@
 
 import errno
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.cli.stop import CHECKS, FLAGS, NAME, StationStop, usable_arguments
+from groundstation.deploy import key_ring
 from groundstation.station import discovery
 from groundstation.station.discovery import RunningStation
 from tests.forked import ended
@@ -60,6 +63,15 @@ def test_no_line_keeps_a_stop_from_being_sent(words: list[list[str]]) -> None:
 def test_a_stop_is_one_wherever_its_options_stand(words: list[str]) -> None:
     code, output, errors = ended("groundstation", *words, "--station", "tcp/127.0.0.1:1", "--wait", "0")
     assert code == 1 and "NOT HEARD" in output and "Usage" not in errors
+
+
+def test_a_stop_that_nobody_hears_names_the_address_that_was_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With keys that is another one than a station has without."""
+    key_ring.init(tmp_path / "keys", ["127.0.0.1"], "shoal", datetime.now(UTC))
+    monkeypatch.setenv("SHOAL_RUNTIME_DIR", str(tmp_path))  # nothing runs there
+    for words in ([], ["--station", "tcp/127.0.0.1:1"]):
+        code, output, _ = ended("groundstation", "stop", *words, "--keys", str(tmp_path / "keys"), "--wait", "0")
+        assert code == 1 and len(re.findall("tls/127.0.0.1", output)) == 2 and "tcp/" not in output
 
 
 def test_a_reader_who_goes_away_leaves_no_station_without_its_stop(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,6 +35,7 @@ from shoal.messages.messages import (
     StationHeartbeat,
     required,
 )
+from tests.waiting import eventually
 
 METHODS = {"return": "return_to_start", "test": "test_thrusters"}  # the others have the requests' names
 
@@ -182,7 +183,6 @@ def test_live_states_are_the_newest_and_a_silent_robot_is_told(fleet: ConnectedF
             topics.STATE, RobotState(Mode.TRACKING, estimate=Estimate(eta=np.array([x_m, 0.0, 0.0, 0.0]))), 0, robot=3
         )
     station.bus.publish(topics.POSE, Pose(0.5, 0.25, 0.0), 0, robot=3)
-    assert fleet.robots == (3,)
     assert (required(fleet.state(3).estimate).eta[0], fleet.pose(3).y_m) == (2.0, 0.25)
     with pytest.raises(NotHeard, match="robot 4: no state"):
         fleet.state(4, max_age_s=0.05)
@@ -192,6 +192,24 @@ def test_live_states_are_the_newest_and_a_silent_robot_is_told(fleet: ConnectedF
         fleet.state(3, max_age_s=0.0)
     station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING"), 0)  # a clock that stands
     assert fleet.mission() == "RUNNING"
+
+
+def test_the_robots_of_a_new_connection_are_those_that_are_heard_soon(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    """Not those that happened to say something before the question. One that fell silent is not heard."""
+    over = threading.Event()
+
+    def speak() -> None:
+        while not over.wait(0.1):
+            station.bus.publish(topics.STATE, RobotState(), time.time_ns(), robot=3)
+
+    robot = threading.Thread(target=speak)
+    robot.start()
+    try:
+        assert fleet.robots == (3,)
+    finally:
+        over.set()
+        robot.join()
+    assert eventually(lambda: fleet.robots == (), 60.0)
 
 
 def test_waiting_ends_with_the_event_the_state_or_the_time(
@@ -204,8 +222,12 @@ def test_waiting_ends_with_the_event_the_state_or_the_time(
     assert fleet.wait_event("armed", timeout_s=1.0).source == "groundstation"
     with pytest.raises(NotHeard, match="robot 2: not heard"):
         fleet.wait_ready(timeout_s=0.05)
-    station.says("mission: fleet ready")
-    fleet.wait_ready(timeout_s=1.0)
+    for mission in ("CANCELLED", "WAITING"):  # a flight may begin from both
+        station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission=mission), 10**18)
+        with pytest.raises(NotHeard):
+            fleet.wait_ready(timeout_s=0.05)
+        station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission=mission, ready=True), 10**18)
+        fleet.wait_ready(timeout_s=1.0)
     with pytest.raises(NotHeard, match="no event with 'landed'"):
         fleet.wait_event("landed", timeout_s=0.05)
     with pytest.raises(NotHeard, match="it is WAITING"):
@@ -230,7 +252,7 @@ def test_a_fleet_is_ready_by_the_word_of_the_station_that_is_heard_now(
     """One that was killed has said that the fleet is ready; the next one has not said so yet."""
     monkeypatch.setattr("groundstation.scripting.fleet.FRESH_S", 0.05)
     station.says("mission: fleet ready")
-    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), 10**18)  # by the wall clock
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING", ready=True), 10**18)  # by the wall clock
     fleet.wait_ready(timeout_s=0.05)
     time.sleep(0.1)
     with pytest.raises(NotHeard, match="nothing heard"):
@@ -239,8 +261,7 @@ def test_a_fleet_is_ready_by_the_word_of_the_station_that_is_heard_now(
     again.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), 10**18)
     with pytest.raises(NotHeard, match="nothing heard"):
         fleet.wait_ready(timeout_s=0.0)
-    again.publish(topics.EVENT, Event(2, "groundstation", "mission: fleet ready"), 10**18)
-    again.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), 10**18)
+    again.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING", ready=True), 10**18)
     fleet.wait_ready(timeout_s=0.0)
 
 

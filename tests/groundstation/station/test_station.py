@@ -30,7 +30,7 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
 from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, OVERTAKEN, Station, workers
-from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
+from groundstation.telemetry import DEPLOY, Finding, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import Validity
 from shoal.bus.access_control import INSECURE
@@ -603,6 +603,30 @@ def test_the_heartbeat_says_that_another_path_than_the_experiments_is_flown(tmp_
             reports.append(beat is not None and beat.message.other_path)
             plans.adopt_at_rest(other.plan(), other)
         assert reports == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("state", "unfit", "ready"),
+    [
+        (MissionState.WAITING, False, True),
+        (MissionState.CANCELLED, False, True),
+        (MissionState.CANCELLED, True, False),
+        (MissionState.RUNNING, False, False),
+    ],
+)
+def test_the_heartbeat_says_whether_a_flight_may_begin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: MissionState, unfit: bool, ready: bool
+) -> None:
+    findings = (Finding(1, "pose", "critical", "no pose", "", blocks_arming=True),) if unfit else ()
+    monkeypatch.setattr("groundstation.station.station.blocking_findings", lambda *_: findings)
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        beats = Bus(MemoryTransport(hub)).inbox(topics.HEARTBEAT, StationHeartbeat)
+        station.mission.state = state
+        monkeypatch.setattr(station.core, "step", lambda *_: ())
+        station.cycle(station.clock.now_ns())
+        received = beats.newest()
+        assert received is not None and received.message.ready is ready
 
 
 def test_the_heartbeat_says_where_the_camera_sees_a_silent_robot(tmp_path: Path) -> None:

@@ -8,15 +8,14 @@ export function began(): number | null {
   return shown.value?.began_s ?? null;
 }
 
-/** Seconds since the flight began; null while nothing has been started. */
-export function since(time_s: number): number | null {
-  const begun = began();
+/** Seconds since the flight began, or another one; null while nothing has been started. */
+export function since(time_s: number, begun = began()): number | null {
   return begun === null ? null : time_s - begun;
 }
 
 /** A time for people: seconds of the flight; before any flight the time of day, or nothing where time is simulated. */
-export function moment(time_s: number): string {
-  const s = since(time_s);
+export function moment(time_s: number, begun = began()): string {
+  const s = since(time_s, begun);
   if (s !== null) return `${Number(s.toFixed(1)) + 0} s`;
   return time_s > 1e8 ? new Date(time_s * 1e3).toTimeString().slice(0, 8) : "–";
 }

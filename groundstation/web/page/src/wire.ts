@@ -223,6 +223,7 @@ export interface LogLine {
   level: number;
   source: string;
   text: string;
+  began_s?: number; // of a recorded run: when the flight began from which this is counted
 }
 
 /** A row of the past: what plots and trails need of a state. */

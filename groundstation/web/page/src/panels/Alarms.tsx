@@ -83,7 +83,7 @@ export function Log() {
       <ol tabIndex={0} aria-label="Lines of the log, newest first">
         {newest.map((line, k) => (
           <li key={lines.value.length - k} class={LEVEL[line.level]}>
-            <time>{moment(line.time_s)}</time> <b>{line.source}</b> {line.text}
+            <time>{moment(line.time_s, line.began_s)}</time> <b>{line.source}</b> {line.text}
           </li>
         ))}
       </ol>

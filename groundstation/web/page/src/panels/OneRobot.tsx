@@ -63,10 +63,18 @@ function Pad() {
   );
 }
 
-function SendButton({ robot, possible }: { robot: number; possible: boolean }) {
+/** Why a robot cannot be led by hand; empty: it can be. */
+function notLed(mode: string): string {
+  if (!connected.value) return "no connection to the station";
+  if (!inControl.value) return "you are watching: take control first";
+  if (FLIES.includes(mode)) return "";
+  return mode === "DISARMED" ? "arm it first" : "not before it is cleared and armed";
+}
+
+function SendButton({ robot, why }: { robot: number; why: string }) {
   const open = places.value !== null && placesFor.value === robot;
   return (
-    <button type="button" class="order" aria-pressed={open} disabled={!possible && !open} onClick={() => choosePlaces(!open, robot)} title="Choose a place on the map">
+    <button type="button" class="order" aria-pressed={open} disabled={why !== "" && !open} onClick={() => choosePlaces(!open, robot)} title={why || "Choose a place on the map"}>
       Send {robot} to…
     </button>
   );
@@ -111,7 +119,8 @@ export function OneRobot() {
   if (also.value.size > 0) return <Several state={state} ids={[robot.id, ...also.value].sort((a, b) => a - b)} />;
   const mode = robot.state?.mode ?? "";
   const possible = connected.value && inControl.value;
-  const flies = possible && FLIES.includes(mode);
+  const why = notLed(mode);
+  const flies = why === "";
   const led = state.led.find((found) => found.robot === robot.id);
   const drives = driven.value === robot.id;
   const out = isOut(state, robot.id);
@@ -131,7 +140,7 @@ export function OneRobot() {
           aria-pressed={drives}
           disabled={!flies && !drives}
           onClick={() => (drives ? stopDriving() : startDriving(robot.id))}
-          title="By keys (W A S D, Q up, E down), the buttons below or a gamepad"
+          title={drives ? "Leave it: it holds, and keys drive nobody" : why || "By keys (W A S D or arrows, Q up, E down), buttons or a gamepad"}
         >
           Drive {robot.id}
         </button>
@@ -147,7 +156,7 @@ export function OneRobot() {
         <button type="button" class="order" disabled={!possible || !out} onClick={() => order("back-in", [], robot.id)} title="It is in the water again, and takes part">
           {robot.id} is back in
         </button>
-        <SendButton robot={robot.id} possible={flies} />
+        <SendButton robot={robot.id} why={why} />
       </div>
       <Send robot={robot.id} possible={flies} />
       {drives && <Motion robot={robot} />}

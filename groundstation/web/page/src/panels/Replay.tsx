@@ -4,6 +4,7 @@ import { signal } from "@preact/signals";
 import { clock, moment, since } from "../clock";
 import { say } from "../link";
 import { lines, scene, shown } from "../store";
+import type { LogLine } from "../wire";
 
 const RATES = [0.25, 0.5, 1, 2, 4, 8, 16];
 const WARNING = 3; // levels of the log from here on are marked
@@ -21,6 +22,37 @@ export function togglePlay(): void {
 export function stepFrames(frames: number): void {
   const [at, period_s] = [shown.peek()?.replay, scene.peek()?.period_s];
   if (at !== undefined && period_s !== undefined) say({ kind: "seek", rate: 0, time_s: Math.max(0, at.time_s + frames * period_s) });
+}
+
+const APART = 0.012; // of the slider: as wide as a mark
+const MOST_TOLD = 12; // lines that a mark's title holds
+
+/** Lines by the mark that they share: marks that lie on one another could not be read nor hit. */
+function marks(marked: LogLine[], end_s: number): LogLine[][] {
+  const found: LogLine[][] = [];
+  for (const line of [...marked].sort((a, b) => a.time_s - b.time_s)) {
+    const last = found.at(-1);
+    if (last !== undefined && line.time_s - last[0]!.time_s < APART * end_s) last.push(line);
+    else found.push([line]);
+  }
+  return found;
+}
+
+function Mark({ of, end_s }: { of: LogLine[]; end_s: number }) {
+  const [at_s, level] = [Math.max(0, of[0]!.time_s), Math.max(...of.map((line) => line.level))];
+  const told = of.slice(0, MOST_TOLD).map((line) => `${moment(line.time_s, line.began_s)} ${line.source}: ${line.text}`);
+  if (of.length > MOST_TOLD) told.push(`and ${of.length - MOST_TOLD} more`);
+  return (
+    <button
+      type="button"
+      tabIndex={-1}
+      class={level > WARNING ? "mark error" : level === WARNING ? "mark warning" : "mark"}
+      style={`left: ${(100 * at_s) / end_s}%`}
+      title={told.join("\n")}
+      aria-label={`To ${told.join("; ")}`}
+      onClick={() => say({ kind: "seek", time_s: at_s })}
+    />
+  );
 }
 
 export function Replay() {
@@ -51,17 +83,8 @@ export function Replay() {
           aria-label="Time in the run, seconds"
           onInput={(event) => say({ kind: "seek", time_s: event.currentTarget.valueAsNumber })}
         />
-        {marked.map((line, k) => (
-          <button
-            key={k}
-            type="button"
-            tabIndex={-1}
-            class={line.level > WARNING ? "mark error" : line.level === WARNING ? "mark warning" : "mark"}
-            style={`left: ${(100 * line.time_s) / end_s}%`}
-            title={`${moment(line.time_s)} ${line.source}: ${line.text}`}
-            aria-label={`To ${moment(line.time_s)}: ${line.source}: ${line.text}`}
-            onClick={() => say({ kind: "seek", time_s: Math.max(0, line.time_s) })}
-          />
+        {marks(marked, end_s).map((of, k) => (
+          <Mark key={k} of={of} end_s={end_s} />
         ))}
       </div>
       <span class="clock">{clock(since(end_s) ?? 0)}</span>
