@@ -62,6 +62,8 @@ SOMETHING = {
     ("TimelineEvent", "times"): "1",
     ("Tokens", "at_s"): "float('-inf')",
     ("Topic", "readers"): "EVERYONE",
+    ("Validity", "asked_s"): "math.inf",
+    ("Validity", "until_s"): "math.inf",
     ("WebOptions", "host"): "'127.0.0.1'",
     ("WebOptions", "port"): "8000",
     ("_Request", "only"): "WHOLE_FLEET",
@@ -73,8 +75,8 @@ SOMETHING = {
 # function, parameter -> a number or a switch that is something by default
 SET = {
     ("_at_most", "is_whole"): "True",
+    ("_axis_rows", "top_in"): "0.15",
     ("_rerouted", "longer"): "0.4",
-    ("_rows_of", "top_in"): "0.15",
     ("_split", "percent"): "50.0",
     ("add", "days"): "397.0",
     ("deploy", "restart"): "True",

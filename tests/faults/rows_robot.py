@@ -26,7 +26,7 @@ def agent_killed(rig: Rig, random: Random) -> Sample:
     begin_ns = time.monotonic_ns()
     rig.wait(lambda: any(True for _ in rig.since(robot, begin_ns)), "restarted agent heard")
     time.sleep(0.3)
-    states = [heard.state for heard in rig.since(robot, begin_ns)]
+    states = [report.state for report in rig.since(robot, begin_ns)]
     armed = any(state.mode is not Mode.DISARMED or (state.board is not None and state.board.armed) for state in states)
     return {"neutral": neutral_s, "restarted and not disarmed": float(armed)}
 
