@@ -151,8 +151,8 @@ def limit(bus: Bus, patience_s: float) -> Callable[[], bool]:
 def follow(
     ask: Callable[[Command], Reply], command: Command, over: Callable[[], bool], report: Callable[[Outcome], None]
 ) -> Reply:
-    """Make a request, and query its outcome until it is known or the wait is `over`. Returns the last reply that tells of it,
-    with the reason why nothing newer is known where the station does not answer, or knows nothing of it any more.
+    """Make a request, and query its outcome until it is known or the wait is `over`. Returns the last reply about the outcome;
+    where the station does not answer, or has forgotten the request, with that as the reason.
 
     An emergency stop without a reply is repeated.
     """

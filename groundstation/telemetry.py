@@ -85,8 +85,8 @@ class RobotView:
 
     @property
     def eta(self) -> Array:
-        """Best known pose (4,): its own estimate if it is heard, else the localizer's pose, else its last estimate. Zeros for
-        a robot that is not located."""
+        """Best known pose (4,): the robot's own estimate if it is heard, else the localizer's pose, else its last estimate.
+        Zeros for a robot that is not located."""
         if self._estimate is not None and (self.heard or self.pose is None):
             return self._estimate.eta
         if self.pose is not None:

@@ -192,8 +192,8 @@ class FusionNode:
         self._bus.publish(topics.OBSTACLES, fused, self._obstacles_ns, age_ns=age_ns)
 
     def _take_obstacles(self, out: tuple[str, ...]) -> list[tuple[int, int]]:
-        """Take each camera's newest obstacles, and trust them if it is not `out`. Returns instants and stamps of those that
-        are new and trusted."""
+        """Take each camera's newest obstacles; those of a camera in `out` are not trusted. Returns instants and stamps of the
+        new ones that are trusted."""
         new: list[tuple[int, int]] = []
         for name, camera in self.cameras.items():
             obstacles = camera.obstacles.newest(self._counts_up_to_ns(name)[1])

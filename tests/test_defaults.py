@@ -75,8 +75,8 @@ SOMETHING = {
 # function, parameter -> a number or a switch that is something by default
 SET = {
     ("_at_most", "is_whole"): "True",
-    ("_axis_rows", "top_in"): "0.15",
     ("_rerouted", "longer"): "0.4",
+    ("_axis_rows", "top_in"): "0.15",
     ("_split", "percent"): "50.0",
     ("add", "days"): "397.0",
     ("deploy", "restart"): "True",

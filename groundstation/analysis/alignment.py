@@ -142,8 +142,8 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
 
 
 def zero_ns(log: RunLog, robots: Sequence[int], flight: int = 0) -> int:
-    """The stamp of time 0 of a flight, or of the one that `align` chooses where there is none of that number; needs no more
-    than states, trajectories and heartbeats."""
+    """The stamp of time 0 of a flight, or of the flight that `align` chooses if none has that number. Needs states,
+    trajectories and heartbeats only."""
     flights = _flights(log, robots)
     number = _chosen(flights, flight if 1 <= flight <= len(flights) else None)
     if not number:

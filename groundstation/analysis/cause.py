@@ -102,12 +102,17 @@ def _event_cause(
     place = _place_text(event, series)
     where = f", {place}" if place else ""
     sentence = (
-        f"A person {text} at {event.time_s:.1f} s{where}."
+        f"A person {text} {_when(event, series)}{where}."
         if noticed_by == PERSON
-        else f"{noticed_by} at {event.time_s:.1f} s{where}: {text}"
+        else f"{noticed_by} {_when(event, series)}{where}: {text}"
     )
     outcome = _flown(series) if noticed_by == PERSON else _outcome(result, series)  # what is not judged, misses nothing
     return Cause(text, event.time_s, noticed_by, injected, outcome, place, sentence)
+
+
+def _when(event: TimelineEvent, series: Series) -> str:
+    """The time of an event: of the flight, or where nothing flew and there is no time 0, since the log began."""
+    return f"at {event.time_s:.1f} s" if series.started else f"{event.time_s:.1f} s after the log began"
 
 
 def _fault_as_cause(fault: TimelineEvent, result: Result, series: Series) -> Cause:
@@ -191,7 +196,7 @@ def _injected(series: Series, until_s: float = math.inf) -> list[str]:
     """Injections of the simulator up to a time, or the flight's end, each with its own time."""
     until_s = min(until_s, series.ended_s) if series.started else until_s
     injections = [e for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED) and e.time_s <= until_s]
-    return [f"{e.text.removeprefix(INJECTED)} at {e.time_s:.1f} s" for e in injections]
+    return [f"{e.text.removeprefix(INJECTED)} {_when(e, series)}" for e in injections]
 
 
 def _outcome(result: Result, series: Series) -> str:

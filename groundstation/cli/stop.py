@@ -79,7 +79,8 @@ def usable_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def without_options(arguments: Sequence[str]) -> list[str]:
-    """The words that are no options, nor values of those that `stop` has. A `stop` is nobody's value."""
+    """The words of a command line that are neither options nor the values of options that `stop` has. The word `stop` is never
+    taken for a value."""
     words, left = list[str](), list(arguments)
     while left:
         word = left.pop(0)

@@ -229,7 +229,8 @@ class Guard:
             self._look_s = 0.0
 
     def _greeted(self, number: int) -> None:
-        """A connection that is not passed on has sent something, or has ended."""
+        """Read what a waiting connection has sent. Its hello goes to admission once it is whole; a connection that has ended,
+        or speaks no TLS, is refused."""
         if number not in self._hellos:
             return  # closed meanwhile, for another
         peer, _ = self._peers[number]

@@ -246,7 +246,7 @@ class GainUpdater:
         """Give robots that have other gains the fleet's gains."""
 
         def needs_gains(view: RobotView) -> bool:
-            if not view.heard or view.state is None or view.mode is Mode.STOPPED:
+            if not takes_gains(view) or view.state is None:
                 return False
             is_of_this_experiment = view.state.experiment_hash == self._experiment.hash
             return is_of_this_experiment and view.state.tuning_id != self._flown.id
@@ -255,6 +255,11 @@ class GainUpdater:
         if differing and now_ns - self._since_ns > AGAIN_S * 1e9:
             self._begin_stage(_Change(self._flown, self._config, differing, back=True, returned=True), now_ns)
         return ()
+
+
+def takes_gains(view: RobotView) -> bool:
+    """True for a robot that may be given the fleet's gains: it speaks, however late its states come, and is not stopped."""
+    return view.state_age_s < PATIENCE_S and view.mode is not Mode.STOPPED
 
 
 def _flies_with(fleet: Fleet, robot: int, change: _Change) -> bool:

@@ -690,8 +690,8 @@ class Mission:
             self._go(MissionEvent.RECOVERED, now_ns)
             self._replan_if_needed(fleet, now_ns)
             return ()
-        told = [r for r in moving + self._may_set_off(fleet) if r not in self.roster.led_by_people]
-        return self._send(CommandKind.HOLD, told, now_ns)
+        receivers = [r for r in moving + self._may_set_off(fleet) if r not in self.roster.led_by_people]
+        return self._send(CommandKind.HOLD, receivers, now_ns)
 
     def _may_set_off(self, fleet: Fleet) -> list[int]:
         """Robots that say that they hold, and may set off all the same."""

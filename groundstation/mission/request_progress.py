@@ -9,10 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from groundstation.mission.command_dispatcher import MOVING, CommandResult
-from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
+from groundstation.mission.gain_update import TUNING, GainStage, GainStatus, takes_gains
 from groundstation.mission.mission import (
     AT_REST_MPS,
-    JOIN_WITHIN_S,
     OTHER_FLIGHTS,
     REST_WITHIN_S,
     Mission,
@@ -298,7 +297,9 @@ class RequestTracker:
         if tuning.stage is not GainStage.IDLE:
             return Progress.UNDER_WAY, "", waiting
         if tuning.flown.id == request.tuning_id:  # one that came back meanwhile is given them within seconds
-            coming = [robot for robot in waiting if fleet[robot].state_age_s < JOIN_WITHIN_S]
+            coming = [robot for robot in waiting if takes_gains(fleet[robot])]
+            if coming and tuning.reason:  # it was given them in vain
+                return Progress.FAILED, tuning.reason, waiting
             return (Progress.UNDER_WAY if coming else Progress.DONE), "", waiting
         return Progress.FAILED, tuning.reason, waiting
 

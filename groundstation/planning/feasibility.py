@@ -160,8 +160,8 @@ def give_way(experiment: Experiment, a: int, b: int) -> bool:
 
 
 def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
-    """Distances (n,) in m by which positions (n, 3) violate each clearance: from islands, from the sides of the basin, and
-    from the edge of the camera's picture.
+    """Distances (n,) in m by which positions (n, 3) violate each clearance: from islands, from the basin's sides, and from the
+    edge of the camera's picture.
 
     At the surface the centre counts, not the hull: a robot may float. Open water has no sides.
     """

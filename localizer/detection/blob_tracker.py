@@ -34,6 +34,7 @@ class TrackedBlob:
 
     id: int  # 0 until it has persisted
     since_ns: int
+    found_m: Array  # its centroid (2,) then
     region: Blob
     stamps_ns: tuple[int, ...]
     centroids_m: Array
@@ -79,7 +80,7 @@ class BlobTracker:
             elif blob.id and blob.unseen_s(stamp_ns) <= _PERSISTS_S:
                 tracked.append(blob)
         new = [
-            TrackedBlob(0, stamp_ns, blob, (stamp_ns,), blob.centroid_m[None])
+            TrackedBlob(0, stamp_ns, blob.centroid_m, blob, (stamp_ns,), blob.centroid_m[None])
             for i, blob in enumerate(blobs)
             if i not in assigned
         ]

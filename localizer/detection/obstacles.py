@@ -108,7 +108,7 @@ class ObstacleDetector:
             self._tracker.clear()
             watched, foreground = np.zeros_like(watched), np.zeros_like(foreground)
         self._tracker.update(self._regions(foreground), stamp_ns)
-        self._remembered = tuple(blob for blob in self._remembered if not self._reappeared(blob, stamp_ns))
+        self._remembered = tuple(blob for blob in self._remembered if not self._reappeared(blob))
         if self._steps % _LEARN_EVERY == 0:
             self._learn(colours, distance, hidden, shaded, step_s * _LEARN_EVERY)
         share = int(np.count_nonzero(watched)) / max(int(np.count_nonzero(self._in_pool)), 1)
@@ -199,12 +199,16 @@ class ObstacleDetector:
         """The blobs that were there before the light began to change: a lamp takes some time to come up."""
         return tuple(blob for blob in self._reported if stamp_ns - blob.since_ns >= _SURE_S * 1e9)
 
-    def _reappeared(self, unseen: TrackedBlob, stamp_ns: int) -> bool:
-        """True if a blob that is followed now may be `remembered`, which was there before the background was learnt anew."""
+    def _reappeared(self, unseen: TrackedBlob) -> bool:
+        """True if a blob that is followed now may be `unseen`, which was there before the background was learnt anew: it was
+        found where that may have been by then. One found elsewhere, which only passes, is another."""
+        return any(self._may_be(unseen, blob.found_m, blob.since_ns) for blob in self._reported)
+
+    def _may_be(self, unseen: TrackedBlob, place_m: Array, stamp_ns: int) -> bool:
+        """True if a blob that is not seen any more may have been at a place (2,) at an instant."""
         drift = drift_m(self._safety, unseen.velocity_mps, unseen.unseen_s(stamp_ns))
         reach_m = 0.5 * float(np.hypot(*drift)) + growth_m(self._safety, unseen.unseen_s(stamp_ns)) + _SAME_M
-        middle = unseen.centroids_m[-1] + 0.5 * drift
-        return any(float(np.hypot(*(blob.centroids_m[-1] - middle))) <= reach_m for blob in self._reported)
+        return float(np.hypot(*(place_m - unseen.centroids_m[-1] - 0.5 * drift))) <= reach_m
 
     def _message(self, watched: float, stamp_ns: int) -> Obstacles:
         """The blobs that have persisted and those that are remembered. Outlines are moved on by the lag of the temporal

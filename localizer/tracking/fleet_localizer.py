@@ -357,7 +357,7 @@ class FleetLocalizer:
                 self._motions[i] = motion.with_position(place_m, self._tilt)
 
     def _poses(self, depths: Sequence[Depth], views: Mapping[int, PredictedView]) -> tuple[tuple[int, Pose], ...]:
-        """Poses of the robots that have one, with what tilt and track add to their covariance."""
+        """Poses of the robots that have one; their covariances include the tilt and the track."""
         messages = []
         for i, (robot, track, depth) in enumerate(zip(self._ids, self._tracks, depths, strict=True)):
             down = views[i].tangent.jacobian[:, 2] if i in views else np.zeros(2)

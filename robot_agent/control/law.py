@@ -39,10 +39,15 @@ class Law(Protocol):
         current: complex = 0j,
         delivered: Array | None = None,
     ) -> MpcPlan:
-        """Compute one step. `state` is that at which a command given now begins to act, its velocities through water that
-        streams at `current` (x + iy, m/s). Gamma (4,); `wrench` (3,) asked for last, `delivered` (3,) its part that the
-        thrusters gave (None: all); `reference` (horizon + 1, 4) from that instant on, its yaw near the state's; `weight` W
-        (4,)."""
+        """Compute one step.
+
+        `state`: when a command given now begins to act, with velocities through the water
+        `disturbance`: Gamma (4,)
+        `wrench`, `delivered`: (3,) the wrench asked for last, and what the thrusters gave of it (None: all)
+        `reference`: (horizon + 1, 4) from the state's instant on, its yaw near the state's
+        `weight`: W (4,)
+        `current`: velocity of the water, x + iy in m/s
+        """
 
 
 def heading_gain(config: ControllerConfig) -> float:

@@ -520,9 +520,11 @@ class KalmanEstimator(Estimator):
         )
 
     def _begin(self, pose: PoseMeasurement) -> None:
+        """Begin at a pose, at rest over ground: the velocities through the water are those of the unknown current, reversed.
+        The gyroscope's bias and the four ratios keep what was learned of them before."""
         super()._begin(pose)
         bank, noise, sway = self._bank, self._process, self._model.sway
-        learned = np.array(bank.mixed[GYRO:, GYRO:])
+        learned = np.array(bank.mixed[GYRO:, GYRO:])  # covariance of bias and ratios; 0 at the first begin
         p = np.zeros((ERRORS, ERRORS))
         if learned.any():
             p[GYRO:, GYRO:] = learned

@@ -190,8 +190,8 @@ class ControllerConfig(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _has_what_goes_with_its_law(cls, given: Any) -> Any:
-        """Runs first. The article has the observer (31), and its model does not slide sideways."""
+    def _fill_in_article_defaults(cls, given: Any) -> Any:
+        """Before validation, give the article's law its own defaults: the observer (31), and a model without sway."""
         if not isinstance(given, dict) or given.get("law") != "eso-mpc-article":
             return given
         usual: dict[str, dict[str, Any]] = {

@@ -225,7 +225,8 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
 
 
 def _shape_wrenches(values: dict[str, Any], names: tuple[str, ...], rows: int | None, prefix: str) -> None:
-    """Give the wrenches of a message their shape: so many rows, or none, of 3 numbers each, or of 4."""
+    """Give the wrenches of a message, flat arrays of numbers, their shape: 3 or 4 numbers each, the same for all; in `rows`
+    rows, or one wrench alone for None."""
     fitting: tuple[int, ...] = WRENCH_AXES
     for name in names:
         size = values[name].size

@@ -78,8 +78,9 @@ def replay_history(experiment: Experiment, robot: int, lines: Iterable[LogMessag
         if isinstance(message, Plan):
             history.plan = message
     history.agent = rerun.agent
-    if not history.states or rerun.agent.trajectory is None or rerun.agent.mode not in (Mode.TRACKING, Mode.HOLDING):
-        raise ConfigError(f"robot {robot}: was {rerun.agent.mode.name} then, not under way")
+    if not history.states or rerun.agent.trajectory is None or rerun.agent.mode is not Mode.TRACKING:
+        held = ", and without a station nothing resumes it" if rerun.agent.mode is Mode.HOLDING else ""
+        raise ConfigError(f"robot {robot}: was {rerun.agent.mode.name} then, not under way{held}; name another moment (--at)")
     return history
 
 
@@ -206,8 +207,8 @@ def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int)
 
 
 def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) -> Iterator[LogMessage]:
-    """A robot's inputs, commands and states up to the moment at which the first of `robots` that came so far was `at_s` along
-    its trajectory, and the truth around it. Raises ConfigError if there is no such moment."""
+    """A robot's inputs, commands and states up to a moment, and the truth around it. The moment is when the first of `robots`
+    to come so far was `at_s` along its trajectory. Raises ConfigError if there is none."""
     moment_ns = _moment_ns(log, robots, at_s)
     own = own_messages(log, robot, with_states=True)
     state_lines = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
@@ -219,13 +220,20 @@ def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) ->
 
 
 def _moment_ns(log: LogFile, robots: Sequence[int], at_s: float) -> int:
-    """Instant at which the recorder heard of the progress with the formation, of the first robot that was not lost before."""
+    """Instant at which the recorder heard of the progress with the formation, of the first robot that was not lost before.
+    Where that robot held there, or stood before it went on, the last instant before it goes on."""
     reached_s = dict.fromkeys(robots, 0.0)
     for robot in robots:
+        moment: tuple[int, float] | None = None
         for line in log.messages(lambda topic, of, robot=robot: topic is topics.STATE and of == robot):  # type: ignore[misc]
-            clock_s = FormationPlans().clock_s(decode(RobotState, line.payload, "log", line.topic.name))
+            state = decode(RobotState, line.payload, "log", line.topic.name)
+            clock_s = FormationPlans().clock_s(state) if state.mode is Mode.TRACKING else None
+            if moment is not None and clock_s != moment[1]:
+                return moment[0]
             if clock_s is not None and clock_s >= at_s:
-                return line.arrived_ns
+                moment = line.arrived_ns, clock_s
             reached_s[robot] = max(reached_s[robot], clock_s or 0.0)
+        if moment is not None:
+            return moment[0]
     furthest = max(robots, key=lambda robot: reached_s[robot])
     raise ConfigError(f"{log.path}: at {at_s:g} s there is nothing: robot {furthest} came to {reached_s[furthest]:.2f} s")

@@ -257,7 +257,7 @@ class ThrusterBoard:
         return agent_link.ACCEPTED
 
     def _zeroed(self, reading: Reading) -> Reading:
-        """Take the zeros of the sensors off a measurement, which they may be taken from."""
+        """A measurement less the zeros of the sensors. The first measurements after a start may set these zeros."""
         zero, texts = self.zero, self.rules.texts
         event = zero.take_pressure(reading.depth_m * HPA_PER_M)
         if event is ZeroEvent.TAKEN:

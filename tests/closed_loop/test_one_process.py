@@ -122,7 +122,7 @@ def test_another_seed_gives_other_pulses(tmp_path: Path) -> None:
 
 
 def test_a_run_that_the_station_refuses_leaves_no_folder(tmp_path: Path) -> None:
-    code, output, _ = sil(tmp_path, "pool", "--one-process", "--set", "recording.min_free_gb=1e9")
+    code, output, _ = sil(tmp_path, "pool", "--one-process", "--poses", "--set", "recording.min_free_gb=1e9")
     assert code == 2
     assert "a run needs" in output.replace("\n", " ")
     assert list(tmp_path.iterdir()) == []
@@ -161,7 +161,7 @@ def test_a_run_that_breaks_leaves_no_thread_that_keeps_the_program(tmp_path: Pat
 
     before = set(threading.enumerate())
     with pytest.raises(Failed, match="BrokenPipeError"):
-        Executor(load_experiment("pool", ["duration_s=1"]), tmp_path, MemoryHub()).fly(broken)
+        Executor(load_experiment("pool", ["duration_s=1", NO_CAMERA]), tmp_path, MemoryHub(), poses=True).fly(broken)
     assert not [thread for thread in threading.enumerate() if thread not in before and not thread.daemon]
 
 

@@ -188,10 +188,10 @@ def test_a_mark_counts_from_its_own_flight_and_none_lies_on_another(browser: Bro
     (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     lines = [(12.0, "first"), (12.1, "second"), (12.3, "third"), (42.0, "fourth")]
-    said: list[tuple[Topic, Message, float]] = [(topics.EVENT, Event(3, "agent-1", text), at_s) for at_s, text in lines]
-    said += [(topics.HEARTBEAT, StationHeartbeat(began_ns=round(at_s * 1e9)), at_s) for at_s in (10.0, 40.0)]
-    said += [(topics.STATE, RobotState(), float(at_s)) for at_s in range(61)]
-    for number, (topic, message, at_s) in enumerate(sorted(said, key=lambda one: one[2])):
+    messages: list[tuple[Topic, Message, float]] = [(topics.EVENT, Event(3, "agent-1", text), at_s) for at_s, text in lines]
+    messages += [(topics.HEARTBEAT, StationHeartbeat(began_ns=round(at_s * 1e9)), at_s) for at_s in (10.0, 40.0)]
+    messages += [(topics.STATE, RobotState(), float(at_s)) for at_s in range(61)]
+    for number, (topic, message, at_s) in enumerate(sorted(messages, key=lambda one: one[2])):
         at_ns = round(at_s * 1e9)
         recorder.put(topic, f"shoal/{topic.key(1)}", Header(1, number, at_ns), encode(message), at_ns)
     recorder.close()
@@ -199,10 +199,10 @@ def test_a_mark_counts_from_its_own_flight_and_none_lies_on_another(browser: Bro
     with ReplayBackend(tmp_path) as source, WebServer(source, WebOptions(port=port)):
         page = browser.new_page()
         page.goto(f"http://127.0.0.1:{port}/")
-        marks, told = page.locator(".replay .mark"), page.locator(".log li")
+        marks, events = page.locator(".replay .mark"), page.locator(".log li")
         for time_s in (20.0, 60.0):
             source.seek(time_s, 0.0)
-            expect(told.last).to_have_text(re.compile(r"^2 s\b.*first"))
+            expect(events.last).to_have_text(re.compile(r"^2 s\b.*first"))
             expect(marks).to_have_count(2)
             expect(marks.nth(0)).to_have_attribute("title", re.compile(r"^2 s .*first\n2.1 s .*second\n2.3 s .*third$"))
             expect(marks.nth(1)).to_have_attribute("title", re.compile(r"^2 s .*fourth$"))

@@ -75,6 +75,34 @@ def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStati
     assert desk.orders == [CommandKind.FORMATION] and desk.text == "line 1.1"
 
 
+def test_the_spacing_that_is_offered_can_be_flown_unless_none_can(desk: LoneStation, experiment: Experiment) -> None:
+    """Robots come nearer on their ways into another shape. What a person types stays as it is."""
+    least_m = 1.0
+
+    def plan(order: CommandKind, text: str) -> PlanSegment:
+        if text.startswith("turn") or float(text.split()[1]) < least_m:
+            raise PlanError("robots 1 and 2: 0.598 m apart")
+        return first_segment(experiment)
+
+    desk.draft = plan  # type: ignore[method-assign]
+    page = desk.page
+    spacing = page.get_by_label("spacing, m")
+    button(page, "Formation…").click()
+    page.get_by_label("Shape of the formation").select_option("column")
+    expect(page.get_by_text("can be flown")).to_be_visible()
+    expect(spacing).to_have_value("1.00")
+    spacing.fill("0.95")
+    expect(page.get_by_text("0.598 m apart")).to_be_visible()
+    expect(spacing).to_have_value("0.95")
+    least_m = 9.0
+    page.get_by_label("Shape of the formation").select_option("line")
+    expect(page.get_by_text("0.598 m apart")).to_be_visible()
+    expect(spacing).to_have_value(f"{experiment.formation.spacing_m:.2f}")
+    page.get_by_label("Shape of the formation").select_option("")  # nothing to try
+    page.get_by_label("turn, degrees").fill("30")
+    expect(page.get_by_text("0.598 m apart")).to_be_visible()
+
+
 def test_a_request_that_the_station_would_refuse_is_not_offered_and_says_why(desk: LoneStation) -> None:
     page, why = desk.page, "the path is a circle: it cannot be left for other places under way"
     expect(button(page, "Go to…")).to_be_enabled()

@@ -62,12 +62,12 @@ def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pyte
 def test_a_robot_holds_where_its_poses_have_variances_that_none_can_have(below_0: tuple[int, int]) -> None:
     """A localizer of one's own may send them. The robot's program must not end by them, nor the robot fly by them."""
     agent, inputs, now_ns = flying()
-    seen, covariance = required(inputs.pose), np.array(required(inputs.pose).pose.covariance)
+    received, covariance = required(inputs.pose), np.array(required(inputs.pose).pose.covariance)
     covariance[below_0] = -1e-4
-    impossible = replace(seen.pose, covariance=covariance)
+    impossible = replace(received.pose, covariance=covariance)
     for k in range(20):
         later_ns = k * 50_000_000
-        pose = replace(seen, pose=impossible, instant_ns=seen.instant_ns + later_ns)
+        pose = replace(received, pose=impossible, instant_ns=received.instant_ns + later_ns)
         board = replace(inputs.board, board_ms=inputs.board.board_ms + 50 * k, arrival_ns=inputs.board.arrival_ns + later_ns)
         outputs = agent.step(replace(inputs, pose=pose, board=board), now_ns + later_ns)
         if outputs.state.mode is not Mode.TRACKING:

@@ -1,5 +1,6 @@
 """The cause of a run is what a person would name first, and the verdict, the report and the terminal follow it."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -169,6 +170,7 @@ def test_a_run_without_a_flight_is_not_judged(tmp_path: Path) -> None:
     result = judged(tmp_path, Script(duration_s=FLOWN_S, started=False, lines=((1.0, "END asked for"),)))
     assert result.cause is not None
     assert (result.cause.text, result.verdict) == ("ended the run", "not judged")
+    assert re.match(r"A person ended the run \d\.\d s after the log began", result.cause.sentence)  # no flight has a time 0
 
 
 def test_a_limit_that_was_missed_by_less_than_is_shown_says_by_how_much() -> None:

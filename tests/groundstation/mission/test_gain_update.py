@@ -27,6 +27,7 @@ class GainRobot:
     tuning_id: str
     mode: Mode = Mode.TRACKING
     in_reach: bool = True
+    late_s: float = 0.02  # its states
     trajectory_s: float = 10.0
     refuses: frozenset[CommandKind] = frozenset()
     mute: frozenset[CommandKind] = frozenset()  # the order does not arrive
@@ -57,7 +58,7 @@ class GainRobot:
         state = RobotState(
             mode=self.mode, tuning_id=self.tuning_id, experiment_hash=EXPERIMENT.hash, trajectory_s=self.trajectory_s
         )
-        return RobotView(state, 0.02 if self.in_reach else 9.0)
+        return RobotView(state, self.late_s if self.in_reach else 9.0)
 
 
 class TunedFleet:
@@ -262,6 +263,17 @@ def test_a_robot_that_comes_back_gets_the_gains_of_the_fleet(mode: Mode, taken: 
     fleet.robots[2].tuning_id, fleet.robots[2].mode = fleet.first, mode
     fleet.step(AGAIN_S + 1.5)
     assert (fleet.flown == {fleet.tuner.status().flown.id}) is taken
+
+
+def test_a_robot_whose_states_come_late_gets_the_gains_of_the_fleet() -> None:
+    """Its request waits for it: the station does not call it heard, and its states come."""
+    fleet = TunedFleet()
+    fleet.request()
+    fleet.step(1.0)
+    fleet.robots[2].tuning_id, fleet.robots[2].late_s = fleet.first, 0.35
+    assert not fleet.views()[2].heard
+    fleet.step(AGAIN_S + 1.5)
+    assert fleet.flown == {fleet.tuner.status().flown.id}
 
 
 def test_a_robot_outside_the_formation_that_does_not_answer_keeps_no_change_waiting() -> None:

@@ -181,8 +181,8 @@ class Interruptions(RuleBasedStateMachine):
         self.pool.planning_ns = STEP_NS
         for robot in self.pool.robots.values():
             robot.radio.delay_ns = max(robot.radio.delay_ns, 100_000_000)
-        for asked in (CommandKind.RESUME, CommandKind.HOLD):
-            self.ask(who, asked, 0)
+        for order in (CommandKind.RESUME, CommandKind.HOLD):
+            self.ask(who, order, 0)
             for _ in range(cycles):
                 self.pool.step()
         place_m = PLACES_M[k] if order is CommandKind.GO else None

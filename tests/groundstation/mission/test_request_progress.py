@@ -379,6 +379,21 @@ def test_gains_are_told_apart_from_the_mission() -> None:
     assert lab.progress(again) is Progress.DONE
 
 
+def test_gains_that_a_robot_is_given_in_vain_are_waited_for_no_longer() -> None:
+    """It came back with other ones meanwhile, and its answers come too late for the station."""
+    lab = Asked()
+    lab.fly()
+    number = lab.requests.begin(CommandKind.TUNE, lab.run.mission, WANTED.id)
+    lab.run.robots[1].tuning_id = WANTED.id
+    lab.tuning = GainStatus(WANTED, WANTED.id, GainStage.ASKING)
+    lab.look()
+    assert lab.progress(number) is Progress.UNDER_WAY
+    lab.tuning = GainStatus(WANTED, reason="robot 2 does not answer; the fleet's gains may differ")
+    lab.look()
+    assert (lab.progress(number), lab.outcome(number).waiting) == (Progress.FAILED, (2,))
+    assert lab.outcome(number).reason == "robot 2 does not answer; the fleet's gains may differ"
+
+
 def test_a_run_ends_when_all_heard_robots_rest() -> None:
     lab = Asked()
     lab.fly()

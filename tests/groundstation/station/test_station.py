@@ -615,8 +615,8 @@ def test_the_heartbeat_says_that_another_path_than_the_experiments_is_flown(tmp_
 def test_the_heartbeat_says_whether_a_flight_may_begin(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: MissionState, unfit: bool, ready: bool
 ) -> None:
-    found = (Finding(1, "pose", "critical", "no pose", "", blocks_arming=True),) if unfit else ()
-    monkeypatch.setattr("groundstation.station.station.blocking_findings", lambda *_: found)
+    findings = (Finding(1, "pose", "critical", "no pose", "", blocks_arming=True),) if unfit else ()
+    monkeypatch.setattr("groundstation.station.station.blocking_findings", lambda *_: findings)
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
         beats = Bus(MemoryTransport(hub)).inbox(topics.HEARTBEAT, StationHeartbeat)

@@ -50,6 +50,7 @@ class Intruder:
     colour: tuple[float, float, float]
     start_m: tuple[float, float]
     velocity: tuple[float, float] = (0.0, 0.0)
+    enters_s: float = LEARNT_S
 
     def middle(self, since_s: float) -> Array:
         return np.array(self.start_m) + since_s * np.array(self.velocity)
@@ -232,8 +233,8 @@ def disturbed(fault: str, fault_s: float, seconds: float, *intruders: Intruder) 
     for k in range(round(seconds / LOOK_S)):
         t_s = k * LOOK_S
         frame = renderer.render(standing(0.0), np.zeros((2, 4)), t_s, k)
-        for intruder in intruders if t_s >= LEARNT_S else ():
-            frame = draw(frame, intruder, t_s - LEARNT_S, t_s, random)
+        for intruder in (each for each in intruders if t_s >= each.enters_s):
+            frame = draw(frame, intruder, t_s - intruder.enters_s, t_s, random)
         look = watcher.step(trouble.apply(frame, [broken] if t_s >= fault_s else []), round(t_s * 1e9), standing(0.0)[:, :3])
         assert look is not None
         looks.append(look)
@@ -264,6 +265,14 @@ def test_when_a_lamp_is_switched_it_is_blind_and_goes_on_telling_what_was_there(
     assert not last.blind and last.watched > 0.8 and len(last.ids) == 2
     assert last.unseen_s[last.ids.index(resting)] > 6.0
     assert np.linalg.norm(last.velocity[1 - last.ids.index(resting)] - DRIFTING.velocity) < 0.04
+
+
+def test_an_obstacle_that_passes_by_is_not_taken_for_one_that_has_become_water() -> None:
+    """It passes half a metre away."""
+    passing = Intruder(*ball(0.1), (40, 40, 200), (-0.6, 0.3), (0.3, 0.0), enters_s=14.0)
+    last = disturbed("lamp 0.5", 9.0, 19.0, STILL, passing)[-1]
+    assert not last.blind and len(last.ids) == 2
+    assert np.linalg.norm(last.outline.mean(axis=1) - STILL.middle(0.0), axis=1).min() < 0.05
 
 
 def test_after_an_error_it_is_blind_and_goes_on_telling_what_was_there() -> None:

@@ -15,16 +15,14 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import required
 from sim_bridge.plant.fleet import Plant, PlantState
+from tests.sim_bridge.plant.leg_forces import APART, LOPSIDED, NEUTRAL, leg_forces, run
 
 pytestmark = pytest.mark.long
 
-NEUTRAL = np.full((2, 8), 1500.0)
-APART = np.array([[-40.0, 0.0, 5.0, 0.0], [40.0, 0.0, 5.0, 0.0]])
 IDEAL = ("sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
 LEVEL = ("sim.plant.tilt.enabled=false",)
 OPEN = ("pool.walls=false", "sim.plant.buoyancy_n=0", *IDEAL, *LEVEL)
 NO_DRAG = ("vehicle.drag.linear=[1e-12,1e-12,1e-12,1e-12]", "vehicle.drag.quadratic=[0,0,0,0]")
-LOPSIDED = ("vehicle.mass.surge_kg=11", "vehicle.mass.sway_kg=17", "vehicle.mass.yaw_kg_m2=0.3")
 
 
 def plant(*settings: str, seed: int = 1) -> Plant:
@@ -33,13 +31,6 @@ def plant(*settings: str, seed: int = 1) -> Plant:
 
 def moving(state: PlantState, nu: list[list[float]]) -> PlantState:
     return replace(state, nu=np.array(nu))
-
-
-def run(plant: Plant, state: PlantState, steps: int, pulses_us: Array = NEUTRAL) -> list[PlantState]:
-    states = [state]
-    for _ in range(steps):
-        states.append(plant.step(states[-1], pulses_us))
-    return states
 
 
 # --- a second set of equations
@@ -52,15 +43,9 @@ def rotation(yaw: float) -> Array:
 
 def legs_wrench(experiment: Experiment, pulses_us: Array, time_s: float) -> tuple[Array, float]:
     """Force vector (body) and yaw moment, `time_s` after these pulses came on at rest."""
-    vehicle = experiment.vehicle
-    steady = np.interp(pulses_us[:4], *np.array(vehicle.thruster.curve).T)
-    force = steady * -np.expm1(-max(time_s - vehicle.thruster.dead_time_s, 0.0) / vehicle.thruster.lag_s)
-    goal = (pulses_us[4:] - 1500.0) / 500.0 * required(vehicle.legs).ankle_range_rad
-    turned = required(vehicle.legs).ankle_rate_radps * max(time_s - required(vehicle.legs).ankle_dead_time_s, 0.0)
-    angle = np.sign(goal) * np.minimum(np.abs(goal), turned)
-    vectors = force * np.array([np.cos(angle), np.zeros(4), np.sin(angle)])
-    arms = np.column_stack([np.array(required(vehicle.legs).position_m), np.zeros(4)])
-    return vectors.sum(axis=1), float(np.cross(arms, vectors.T).sum(axis=0)[2])
+    forces = leg_forces(experiment.vehicle, pulses_us, time_s)
+    arms = np.column_stack([np.array(required(experiment.vehicle.legs).position_m), np.zeros(4)])
+    return forces.sum(axis=0), float(np.cross(arms, forces).sum(axis=0)[2])
 
 
 def second_equations(experiment: Experiment, robot: int, pulses_us: Array) -> Callable[[float, Array], Array]:

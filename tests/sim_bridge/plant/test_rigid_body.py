@@ -17,11 +17,10 @@ from shoal.frames import Array
 from shoal.messages.messages import required
 from sim_bridge.plant.currents_waves import WaterFlow
 from sim_bridge.plant.fleet import Plant, PlantState
+from tests.sim_bridge.plant.leg_forces import APART, LOPSIDED, leg_forces, run
 
 pytestmark = pytest.mark.long
 
-NEUTRAL = np.full((2, 8), 1500.0)
-APART = np.array([[-40.0, 0.0, 5.0, 0.0], [40.0, 0.0, 5.0, 0.0]])
 OPEN = (
     "pool.walls=false",
     "sim.plant.buoyancy_n=0",
@@ -35,7 +34,6 @@ NO_DRAG = (
     "sim.plant.tilt.drag_linear=1e-12",
     "sim.plant.tilt.drag_quadratic=0",
 )
-LOPSIDED = ("vehicle.mass.surge_kg=11", "vehicle.mass.sway_kg=17", "vehicle.mass.yaw_kg_m2=0.3")
 
 
 def plant(*settings: str) -> Plant:
@@ -44,13 +42,6 @@ def plant(*settings: str) -> Plant:
 
 def moving(state: PlantState, nu: list[list[float]], tilt: list[list[float]]) -> PlantState:
     return replace(state, nu=np.array(nu), tilt=np.array(tilt))
-
-
-def run(plant: Plant, state: PlantState, steps: int, pulses_us: Array = NEUTRAL) -> list[PlantState]:
-    states = [state]
-    for _ in range(steps):
-        states.append(plant.step(states[-1], pulses_us))
-    return states
 
 
 def skew(v: Array) -> Array:
@@ -82,16 +73,10 @@ def inertia_of(experiment: Experiment) -> Array:
 
 def legs(experiment: Experiment, pulses_us: Array, time_s: float) -> tuple[Array, Array]:
     """Force and moment vectors in the body, `time_s` after these pulses came on at rest."""
-    vehicle = experiment.vehicle
-    steady = np.interp(pulses_us[:4], *np.array(vehicle.thruster.curve).T)
-    force = steady * -np.expm1(-max(time_s - vehicle.thruster.dead_time_s, 0.0) / vehicle.thruster.lag_s)
-    goal = (pulses_us[4:] - 1500.0) / 500.0 * required(vehicle.legs).ankle_range_rad
-    turned = required(vehicle.legs).ankle_rate_radps * max(time_s - required(vehicle.legs).ankle_dead_time_s, 0.0)
-    angle = np.sign(goal) * np.minimum(np.abs(goal), turned)
-    vectors = np.stack([force * np.cos(angle), np.zeros(4), force * np.sin(angle)], axis=1)
+    forces = leg_forces(experiment.vehicle, pulses_us, time_s)
     below = np.full(4, experiment.sim.plant.tilt.legs_below_m)
-    arms = np.column_stack([np.array(required(vehicle.legs).position_m), below])
-    return vectors.sum(axis=0), np.cross(arms, vectors).sum(axis=0)
+    arms = np.column_stack([np.array(required(experiment.vehicle.legs).position_m), below])
+    return forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)
 
 
 def second_equations(

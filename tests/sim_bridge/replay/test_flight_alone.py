@@ -12,7 +12,7 @@ from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
-from shoal.messages.messages import Mode, RobotState
+from shoal.messages.messages import Mode, RobotState, StepInputs
 from sim_bridge.in_process.resume import lines_until
 
 STEP_NS = 50_000_000
@@ -57,3 +57,22 @@ def test_a_moment_of_the_run_is_none_of_the_flight_before_it(run: Path) -> None:
         pytest.raises(ConfigError, match=r"at 4 s there is nothing: robot 1 came to 2\.00 s"),
     ):
         list(lines_until(log, [1], 4.0, 1))
+
+
+def test_a_moment_of_a_hold_is_the_one_at_which_the_robot_goes_on(tmp_path: Path) -> None:
+    """Without a station nothing would resume it: it would hold to the end of the flight."""
+    holds, flies = Mode.HOLDING, Mode.TRACKING
+    states = [(flies, 0.95), (flies, 1.0), (holds, 1.05), (holds, 1.05), (flies, 1.1), (flies, 1.1), (flies, 1.15)]
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    for k, (mode, flown_s) in enumerate(states):
+        for topic, message in (
+            (topics.INPUTS, StepInputs(step=k)),
+            (topics.STATE, RobotState(mode=mode, trajectory_s=flown_s)),
+        ):
+            header = Header(1, 2 * k + (topic is topics.STATE), k * STEP_NS)
+            recorder.put(topic, f"shoal/{topic.key(1)}", header, encode(message), header.stamp_ns)
+    recorder.close()
+    for at_s, steps in ((1.0, 2), (1.02, 6), (1.1, 6), (1.12, 7)):
+        with open_log(tmp_path) as log:
+            lines = [line for line in lines_until(log, [1], at_s, 1) if line.topic is topics.STATE]
+        assert len(lines) == steps, at_s

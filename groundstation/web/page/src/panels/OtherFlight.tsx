@@ -12,7 +12,8 @@ type What = "formation" | "path";
 
 export const drafting = signal<"" | What>(""); // the panel that is open
 const shape = signal("");
-const spacing = signal("0.9");
+const spacing = signal("");
+const triesLeft = signal(0); // spacings that are still tried for a person who has typed none
 const turn = signal("0");
 const over = signal("");
 const places = signal<number[]>([]); // robots in the order of the places; empty: left to the planner
@@ -20,6 +21,8 @@ const path = signal(""); // name of an experiment, or the text of a file
 const file = signal(""); // its name
 const question = signal(0); // number of the newest question
 
+const TRIES = 5; // spacings, WIDER_M apart, from the formation's own on
+const WIDER_M = 0.1;
 const LARGEST_FILE = 40_000; // characters: what a message to the station holds
 
 /** States before a flight: what is chosen then is flown by Start. */
@@ -51,7 +54,22 @@ effect(() => {
   if (what !== "" && (ended.value || shown.value?.allowed.includes(what) === false)) show("");
 });
 
+const ownSpacing = (): string => (scene.peek()?.formation.spacing_m ?? 0.8).toFixed(2);
+
+/** Offer a spacing: the formation's own, or the next wider one that can be flown, for on their ways robots come nearer. */
+function offerSpacing(): void {
+  [spacing.value, triesLeft.value] = [ownSpacing(), shape.peek() === "" ? 0 : TRIES];
+}
+
+effect(() => {
+  const answer = drafted.value;
+  if (drafting.value !== "formation" || answer?.n !== question.peek() || triesLeft.peek() === 0) return;
+  triesLeft.value = answer.ok ? 0 : triesLeft.peek() - 1;
+  if (!answer.ok) spacing.value = triesLeft.peek() === 0 ? ownSpacing() : (Number(spacing.peek()) + WIDER_M).toFixed(2);
+});
+
 function show(what: "" | What): void {
+  if (what === "formation") offerSpacing();
   drafting.value = what;
   drafted.value = null;
   drawSoon();
@@ -73,7 +91,7 @@ export function OtherFlightButton({ what, text, title, state }: { what: What; te
 function Answer({ what }: { what: What }) {
   const answer = drafted.value;
   if (words(what) === "") return <p class="hint">{what === "path" ? "Choose an experiment: its path and places are flown, with the robots of this run." : "Choose a shape, an order or a turn."}</p>;
-  if (answer === null || answer.n !== question.value) return <p class="hint">asking the planner …</p>;
+  if (answer === null || answer.n !== question.value || (!answer.ok && what === "formation" && triesLeft.value > 0)) return <p class="hint">asking the planner …</p>;
   if (!answer.ok)
     return (
       <>
@@ -93,11 +111,11 @@ function Answer({ what }: { what: What }) {
   );
 }
 
-function Text({ label, unit, value }: { label: string; unit: string; value: Signal<string> }) {
+function Text({ label, unit, value, onType }: { label: string; unit: string; value: Signal<string>; onType?: () => void }) {
   return (
     <label>
       {label}
-      <input inputMode="decimal" value={value.value} onInput={(event) => (value.value = event.currentTarget.value)} aria-label={`${label}, ${unit}`} /> {unit}
+      <input inputMode="decimal" value={value.value} onInput={(event) => (onType?.(), (value.value = event.currentTarget.value))} aria-label={`${label}, ${unit}`} /> {unit}
     </label>
   );
 }
@@ -142,14 +160,14 @@ function FormFields() {
     <>
       <label>
         shape
-        <select value={shape.value} onChange={(event) => (shape.value = event.currentTarget.value)} aria-label="Shape of the formation">
+        <select value={shape.value} onChange={(event) => ((shape.value = event.currentTarget.value), offerSpacing())} aria-label="Shape of the formation">
           <option value="">as it is</option>
           {SHAPES.map((name) => (
             <option key={name}>{name}</option>
           ))}
         </select>
       </label>
-      {shape.value !== "" && <Text label="spacing" unit="m" value={spacing} />}
+      {shape.value !== "" && <Text label="spacing" unit="m" value={spacing} onType={() => (triesLeft.value = 0)} />}
       <Text label="turn" unit="degrees" value={turn} />
       <Text label="over" unit="s" value={over} />
       <Order />
