@@ -341,6 +341,8 @@ def test_paper_gets_what_is_known_and_no_buttons(browser: Browser) -> None:
         assert page.evaluate("getComputedStyle(document.body).color") == "rgb(16, 36, 46)"  # ink, on white
         assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        page.set_viewport_size({"width": 680, "height": 950})  # of A4, where the screen's rules for phones would hold
+        assert len({page.locator(".plot").nth(k).evaluate("(plot) => plot.offsetLeft") for k in range(4)}) == 2
         page.emulate_media(media="screen")
         page.evaluate("dispatchEvent(new Event('afterprint'))")
         expect(button(page, "Light")).to_be_visible()
