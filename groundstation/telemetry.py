@@ -259,12 +259,12 @@ def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -
 
 
 def silent_sightings(experiment: Experiment, fleet: Fleet) -> dict[int, tuple[float, float]]:
-    """Places x, y of the robots whose plans do not come, and which the camera sees."""
+    """Places x, y of the robots whose plans no longer come, and which the camera sees."""
     pose_limit_s, plan_limit_s = (topic.max_age_in(experiment.safety) for topic in (topics.POSE, topics.PLAN))
     return {
         robot: (view.pose.x_m, view.pose.y_m)
         for robot, view in fleet.items()
-        if view.plan_age_s > plan_limit_s and view.pose_age_s <= pose_limit_s and not view.two_pose_senders
+        if plan_limit_s < view.plan_age_s < math.inf and view.pose_age_s <= pose_limit_s and not view.two_pose_senders
         and view.pose is not None and view.pose.track >= Track.KCF
     }  # fmt: skip
 

@@ -387,7 +387,7 @@ class StationHeartbeat:
     flight_s: Annotated[float, 10] = 0.0  # Planned end of the flight; 0: none, or on the way home.
     other_path: Annotated[bool, 11] = False  # The path that is flown is another experiment's.
     ready: Annotated[bool, 12] = False  # No flight is under way, and no check of the preflight keeps robots from one.
-    sightings: Annotated[tuple[Uint32, ...], 13] = ()  # Robots whose plans do not come, and which the camera sees,
+    sightings: Annotated[tuple[Uint32, ...], 13] = ()  # Robots whose plans no longer come, and which the camera sees,
     sightings_m: Annotated[Array, 14, columns("x_m", "y_m")] = array(-1, 2)  # where they are.
 
 
