@@ -32,8 +32,8 @@ def without_comment_signs(text: str, section: str) -> str:
 
 
 def test_the_commands_of_the_tutorial_do_what_it_says_one_after_the_other(tmp_path: Path) -> None:
-    *before, with_camera = shell_lines("tutorial.md")
-    assert len(before) == 6 and "--one-process" in with_camera
+    activates, *before, with_camera = shell_lines("tutorial.md")
+    assert activates == ". .venv/bin/activate" and len(before) == 6 and "--one-process" in with_camera
     for line in before:
         line = f"{line} --duration 6" if "numeric" in line else line  # of 60 s
         code, output, errors = ended(*shlex.split(line), folder=tmp_path)
