@@ -135,7 +135,7 @@ def test_a_delay_of_the_line_counts_as_age(browser: Browser, of: str) -> None:
         page.goto(desk.url)
         while not pass_on(1.0):
             pass
-        assert min(pass_on(2.0)) < 0.2
+        assert min(pass_on(2.0)) < 0.5
         for slow_s[0] in (0.5, 1.0, 1.5, 2.0):  # in steps: a line that says nothing for a second is lost
             pass_on(1.5)
         assert 1.95 < min(pass_on(3.0)) < 3.5  # a slow machine adds to it; counted twice it would be 4 s
