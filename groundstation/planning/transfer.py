@@ -3,7 +3,7 @@ heading along it. Pure. groundstation/planning/prioritized_planning.py keeps the
 another."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ CLEAR_M = 0.05  # between hulls and islands or walls
 LIMIT_SHARE = 0.8  # of the vehicle's fastest speed and heave: the rest is for its controller
 SLOWER, SLOWEST_MPS = 0.7, 0.02  # factor on the speed, tried until all bends can be flown; the last one is taken as it is
 NEAR_M = 1e-3  # a shorter distance is no transfer
+OFF_M = 0.1  # so far a way leads straight off from what an end lies beside, where it cannot bend at once
 RIM_M = 0.008  # nearer to what it rests beside than at its ends leads a way around it. A nearer one is a contact (BESIDE_M)
 
 
@@ -103,19 +104,44 @@ def _flat_path(
     keep_m = 2.0 * experiment.safety.radius_m
     parked_discs = np.array([(x, y, keep_m) for x, y, *_ in parked]).reshape(-1, 3)
     discs = np.vstack([around.discs, parked_discs])
-    ends = [(start[0], start[1]), (goal[0], goal[1])]
+    ends = start[:2], goal[:2]
     half_x_m, half_y_m = around.half_m  # of a basin that holds both ends
     half_x_m = max(half_x_m, abs(float(start[0])), abs(float(goal[0])))
     half_y_m = max(half_y_m, abs(float(start[1])), abs(float(goal[1])))
     half_m = half_x_m, half_y_m
-    try:
-        points = find_route(ends, _no_wider_than_free(discs, 0.0, start[:2], goal[:2]), half_m, out_of_time=out_of_time)
-    except NoRoute:  # at the rim of what an end lies beside there is no room for a smooth bend
-        points = find_route(ends, _no_wider_than_free(discs, RIM_M, start[:2], goal[:2]), half_m, out_of_time=out_of_time)
+    rims = _no_wider_than_free(discs, RIM_M, *ends)
+    attempts = (ends, _no_wider_than_free(discs, 0.0, *ends)), (ends, rims), (_straight_off(ends, discs), rims)
+    points = _first_route(attempts, half_m, out_of_time)
     try:
         return SplinePath(Waypoints(kind="waypoints", points_m=tuple((x, y) for x, y in points.tolist()), speed_mps=1.0))
     except ValueError:
         raise NoRoute("the way there turns on the spot") from None
+
+
+def _first_route(
+    attempts: Iterable[tuple[Sequence[Array], Array]], half_m: tuple[float, float], out_of_time: OutOfTime
+) -> Array:
+    """The first of these routes, each through points and around discs, that is smooth and clear. Raises NoRoute if none is."""
+    for points_m, discs in attempts:
+        try:
+            return find_route([(float(x), float(y)) for x, y in points_m], discs, half_m, out_of_time=out_of_time)
+        except NoRoute as error:
+            reason = error
+    raise reason
+
+
+def _straight_off(ends: Sequence[Array], discs: Array) -> list[Array]:
+    """The ends of a way, and beside each that lies in discs a point straight away from the nearest of their centres: at the
+    rim of a small disc there is no room for a smooth bend."""
+    points = list(ends)
+    for place, before in ((1, ends[0]), (-1, ends[1])):
+        apart_m = np.hypot(*(discs[:, :2] - before).T)
+        inside = np.flatnonzero((apart_m < discs[:, 2]) & (apart_m > 0.0))
+        if len(inside):
+            nearest = inside[np.argmin(apart_m[inside])]
+            away = (before - discs[nearest, :2]) / apart_m[nearest]
+            points.insert(place, before + OFF_M * away)
+    return points
 
 
 def _can_be_flown(experiment: Experiment, transfer: Transfer, start_rad: float) -> bool:

@@ -1,10 +1,13 @@
 """Ways from rest to rest: clear of everybody all along, and motions that a robot can follow."""
 
+import math
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from groundstation.planning import prioritized_planning as marshalling
 from groundstation.planning.feasibility import PlanError
@@ -104,6 +107,25 @@ def test_a_thing_in_the_way_is_gone_round() -> None:
     motions = plan_transfers(experiment, starts, goals, np.array([[0.0, 0.1, 0.5]]))
     check(experiment, motions, starts, goals)
     assert np.hypot(*(motions[1].eta[:, :2] - [0.0, 0.1]).T).min() >= 0.5 - 1e-6
+
+
+@given(
+    rests_m=st.floats(0.3, 0.59),
+    at_rad=st.floats(-math.pi, math.pi),
+    goal_m=st.floats(0.65, 1.3),
+    to_rad=st.floats(-math.pi, math.pi),
+)
+@example(rests_m=0.3, at_rad=0.975, goal_m=0.963, to_rad=3.092)
+@settings(max_examples=40)
+def test_a_robot_that_touches_another_one_finds_a_way_around_it(
+    rests_m: float, at_rad: float, goal_m: float, to_rad: float
+) -> None:
+    """After a stop robots drift up to one another; their discs are wider than their hulls."""
+    place, goal = rests_m * np.exp(1j * at_rad), goal_m * np.exp(1j * to_rad)
+    starts, goals = {1: pose(place.real, place.imag)}, {1: pose(goal.real, goal.imag)}
+    motions = plan_transfers(pool(), starts, goals, np.array([[0.0, 0.0, 0.6]]))
+    check(pool(), motions, starts, goals)
+    assert np.hypot(*motions[1].eta[:, :2].T).min() >= rests_m - BESIDE_M
 
 
 @pytest.mark.parametrize("turn_rad", [0.6, -1.0, 1.5, 2.4])
