@@ -74,7 +74,7 @@ def figures(log: FlightLog) -> FlightFigures:
     away_m = [float(np.median(values, axis=0).max()) for values in ends if len(values)]
     fell = is_stop and log.hold_row is None  # on its path
     stop_s, reason = _stop(log)
-    inputs = np.zeros_like(next(s.control.wrench for states in log.states for s in states if s.control is not None))
+    inputs = next((np.zeros_like(s.control.wrench) for states in log.states for s in states if s.control), np.zeros(3))
     still = Control(wrench=inputs, wrench_step=inputs)  # of a robot that has stopped
     controls = [[s.control or still for s in states] for states in log.states]
     wrench, step = (np.array([[getattr(c, key) for c in each] for each in controls]) for key in ("wrench", "wrench_step"))

@@ -382,6 +382,10 @@ class ObedientFleet:
             station.cycle(station.clock.now_ns())
             time.sleep(0.002)
 
+    def until_heard(self, station: Station) -> None:
+        """Cycle until the station has heard both robots."""
+        self.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
+
 
 def tell_until(fleet: ObedientFleet, over: threading.Event) -> None:
     while not over.wait(0.02):
@@ -656,7 +660,7 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = {1: Mode.HOLDING, 2: Mode.HOLDING}
-        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
+        fleet.until_heard(station)
         operator = Bus(MemoryTransport(hub))
         station.bus.serve(WHOLE_FLEET, station.on_operator_command)
         reply = operator.command(Command(CommandKind.DISARM, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
@@ -684,7 +688,7 @@ def test_a_velocity_that_came_to_its_turn_too_late_leads_no_robot(tmp_path: Path
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = {1: Mode.HOLDING, 2: Mode.HOLDING}
-        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
+        fleet.until_heard(station)
         ahead = DriveVelocity(0.1, 0.0, 0.0)
         assert station.drive(2, ahead, Validity(time.monotonic() - 0.1)) == HELD_UP
         assert not station.mission.roster.led_by_people
@@ -756,7 +760,7 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
-        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
+        fleet.until_heard(station)
         end_by_interruption(station, stop, fleet)
         for robot in fleet.modes:
             orders = [order for of, order in fleet.got if of == robot]
@@ -775,7 +779,7 @@ def test_a_station_that_is_told_to_end_while_robots_are_being_armed_leaves_none_
     hub, stop = MemoryHub(), Stop(install=False)
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
-        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
+        fleet.until_heard(station)
         station.mission.state = state
         end_by_interruption(station, stop, fleet)
         assert station.mission.state not in (MissionState.LOADING, MissionState.ARMING)
@@ -788,7 +792,7 @@ def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = {1: Mode.DISARMED, 2: Mode.HOLDING}
-        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
+        fleet.until_heard(station)
         asked(station, CommandKind.END)
         fleet.until(station, lambda: station.ended)
         assert fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
