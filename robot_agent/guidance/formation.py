@@ -114,6 +114,12 @@ def rest_of_plan(plan: Plan, age_s: float, place: complex) -> Plan:
     return replace(plan, eta=plan.eta[first:] + moved, eta_reference=plan.eta_reference[first:] + moved)
 
 
+def plan_at_rest(place: complex, depth_m: float) -> Plan:
+    """The plan of a robot that is seen at a place, and of which nothing else is known: it rests."""
+    eta = np.array([[place.real, place.imag, depth_m, 0.0]])
+    return Plan(MEANT_S, eta, eta)
+
+
 class Neighbour(NamedTuple):
     """Another robot's last plan. Fresh plans count for the formation; stale ones only keep a growing distance."""
 
