@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_agent.guidance.formation import Formation, Neighbour
+from robot_agent.guidance.formation import Formation, Neighbour, plan_rows
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive
 from shoal.config.experiment import Experiment
@@ -127,9 +127,10 @@ def bodies(neighbours: Sequence[Neighbour], obstacles: Sequence[Obstacle], forma
     have one row left (`rest_of_plan`), a robot rests."""
     obstacles_now = []
     for neighbour in neighbours:
-        plan, last = neighbour.plan, len(neighbour.plan.eta) - 1
-        if last < 0:
+        plan = plan_rows(neighbour.plan)
+        if plan is None:
             continue
+        last = len(plan.eta) - 1
         row = max((now_ns - neighbour.stamp_ns) * 1e-9 / plan.period_s, 0.0)
         low = min(int(min(row, last)), max(last - 1, 0))
         step = plan.eta[min(low + 1, last)] - plan.eta[low]

@@ -37,3 +37,14 @@ def test_a_driven_robot_stops_short_of_a_silent_robot_whose_plan_has_ended(speed
         now_ns += round(PERIOD_S * NS)
     apart_m, keep_m = rests_m - float(eta[0]), 2.0 * WATER.safety.radius_m
     assert keep_m < apart_m < keep_m + 1.0
+
+
+@pytest.mark.parametrize("period_s", [1e-300, 1e-6, 1e11])
+def test_a_plan_whose_numbers_cannot_be_poses_moves_no_driven_robot(period_s: float) -> None:
+    """Of another robot's program that is broken; the controller leaves it out too."""
+    wild = Neighbour(2, 0, Plan(period_s, plan_ahead(0.2).eta, plan_ahead(0.2).eta), fresh=True)
+    nodes_s = 0.3 * np.arange(1, 20, dtype=np.float64)
+    formation = Formation(WATER.safety, nodes_s, (1.0, 1.0, 1.0, 1.0), has_leader=False)
+    eta = np.array([0.0, 0.0, 0.3, 0.0])
+    goal = driving.Driver(WATER).goal(DriveVelocity(surge_mps=0.2), 0.5, eta, driving.bodies([wild], [], formation, 0))
+    assert goal.surge_mps == 0.2 and formation.predict_neighbours([wild], 0).neighbours == ()
