@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, confirmed, read_record, state_folder, write_record
+from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, confirmed, state_folder, write_record
 from shoal.config import LARGEST_ROBOT
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
@@ -136,7 +136,7 @@ def confirm_zero(
     with os_errors_as_config_errors(where / FILE), only_request(where):
         if not ask_program(where, in_air):
             telemetry = tell_board(load_agent_config(config), in_air)
-            if read_record(where) is not None:
+            if (where / FILE).exists():
                 if telemetry.board_ms < 0:
                     raise ConfigError("the board reports no depth: try again")
                 write_record(where, confirmed(telemetry), durable=True)

@@ -88,7 +88,8 @@ class AgentNode:
         self._signing = signing
         self.mavlink = agent_end(robot, signing)
         folder = None if self.clock.waits else state_folder()
-        self._zero, self._zero_requests = BoardZero(folder), ZeroRequests(folder)
+        self._zero = BoardZero(folder)
+        self._zero_requests = ZeroRequests(folder, on_confirmed=self._zero.confirm)
         self._parameters = BoardParameters(wanted_parameters(experiment))
         self.poses = bus.inbox(topics.POSE, Pose, robot)
         self._pose: Received[Pose] | None = None  # the newest that counts
@@ -286,10 +287,11 @@ class AgentNode:
         requests += self._zero_requests.step(self.mavlink, has_power)
         if requests and not has_power:
             self.link.send(requests)
-        objection = self._parameters.objection
-        if not objection and not self.mavlink.telemetry.echo_us:
+        objection, telemetry = self._parameters.objection, self.mavlink.telemetry
+        if not objection and not telemetry.echo_us:
             objection = "the thruster board does not report its outputs: a thruster that turns by itself would go unnoticed"
-        return replace(self.mavlink.telemetry, objection=objection)
+        in_question = telemetry.zero_in_question or (self._zero.is_unknown and not telemetry.reports_start)
+        return replace(telemetry, objection=objection, zero_in_question=in_question)
 
     def _trusted_pose(self) -> Received[Pose] | None:
         """The newest pose. While two programs publish poses by turns it is the last one before: it grows old, and the robot

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_agent.guidance.formation import Formation, Neighbour
+from robot_agent.guidance.formation import Formation, Neighbour, plan_rows
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive
 from shoal.config.experiment import Experiment
@@ -123,17 +123,19 @@ def _within(value: float, limit: float) -> float:
 
 
 def bodies(neighbours: Sequence[Neighbour], obstacles: Sequence[Obstacle], formation: Formation, now_ns: int) -> list[Body]:
-    """Robots, by their plans, and obstacles as a driven robot has to stop short of them now."""
+    """Robots, by their plans, and obstacles as a driven robot has to stop short of them now. At the end of its plan, which may
+    have one row left (`rest_of_plan`), a robot rests."""
     obstacles_now = []
     for neighbour in neighbours:
-        plan = neighbour.plan
-        if len(plan.eta) < 2:
+        plan = plan_rows(neighbour.plan)
+        if plan is None:
             continue
-        row = min(max((now_ns - neighbour.stamp_ns) * 1e-9 / plan.period_s, 0.0), len(plan.eta) - 1.0)
-        low = min(int(row), len(plan.eta) - 2)
-        step = plan.eta[low + 1] - plan.eta[low]
-        x_m, y_m, depth_m, _ = (plan.eta[low] + (row - low) * step).tolist()
-        x_mps, y_mps, heave_mps, _ = (step / plan.period_s).tolist()
+        last = len(plan.eta) - 1
+        row = max((now_ns - neighbour.stamp_ns) * 1e-9 / plan.period_s, 0.0)
+        low = min(int(min(row, last)), max(last - 1, 0))
+        step = plan.eta[min(low + 1, last)] - plan.eta[low]
+        x_m, y_m, depth_m, _ = (plan.eta[low] + (min(row, last) - low) * step).tolist()
+        x_mps, y_mps, heave_mps, _ = (step / plan.period_s).tolist() if row < last else (0.0, 0.0, 0.0, 0.0)
         keep_m = formation.clearance_m(neighbour, now_ns) + SHORT_M
         obstacles_now.append(Body(complex(x_m, y_m), complex(x_mps, y_mps), keep_m, depth_m, heave_mps))
     for obstacle in obstacles:

@@ -103,15 +103,27 @@ def write_meant_way(plan: PlanRows, age_s: float, way: Complexes) -> None:
             way[i] = place - here if now < last else 0j
 
 
+def plan_rows(plan: Plan) -> PlanRows | None:
+    """The poses of a plan; None if its numbers cannot be poses."""
+    rows = PlanRows(np.array(plan.eta), np.array(plan.eta_reference), plan.period_s)
+    return rows if are_poses(rows) else None
+
+
 def rest_of_plan(plan: Plan, age_s: float, place: complex) -> Plan:
     """The rest of a plan of that age, moved to where its robot is seen: a robot that has fallen silent may still fly it, and
     in the end it rests where it is, not where it meant to."""
-    if not are_poses(PlanRows(np.array(plan.eta), np.array(plan.eta_reference), plan.period_s)) or not abs(place) < ABSURD:
+    if plan_rows(plan) is None or not abs(place) < ABSURD:
         return plan
     first = min(max(round(age_s / plan.period_s), 0), len(plan.eta) - 1)
     moved = np.array([place.real, place.imag, 0.0, 0.0])
     moved[:2] -= plan.eta[first, :2]
     return replace(plan, eta=plan.eta[first:] + moved, eta_reference=plan.eta_reference[first:] + moved)
+
+
+def plan_at_rest(place: complex, depth_m: float) -> Plan:
+    """The plan of a robot that is seen at a place, and of which nothing else is known: it rests."""
+    eta = np.array([[place.real, place.imag, depth_m, 0.0]])
+    return Plan(MEANT_S, eta, eta)
 
 
 class Neighbour(NamedTuple):
@@ -223,9 +235,8 @@ class Formation:
             return self._nobody
         used, plans = list[Neighbour](), list[PlanRows]()
         for neighbour in neighbours:
-            plan = neighbour.plan
-            rows = PlanRows(np.array(plan.eta), np.array(plan.eta_reference), plan.period_s)
-            if are_poses(rows):
+            rows = plan_rows(neighbour.plan)
+            if rows is not None:
                 used.append(neighbour)
                 plans.append(rows)
         if not used:

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from robot_agent.host.board_zero import boot_id, boot_time_s
+from robot_agent.host.board_zero import boot_id, boot_time_s, put_for_owner
 from robot_agent.host.config import AgentConfig, open_board_link
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import ACCEPTED, CALIBRATE, UNSUPPORTED, AgentLink, Telemetry
@@ -34,9 +34,14 @@ WITHIN_S = 4.0  # for the robot's program, and for the board, beyond what it nee
 class ZeroRequests:
     """The requests that come to a robot's program."""
 
-    def __init__(self, folder: Path | None, now_s: Callable[[], float] = time.monotonic) -> None:
-        """Without a `folder` none come."""
-        self._folder, self._now_s, self._looked_s = folder, now_s, -LOOK_S
+    def __init__(
+        self,
+        folder: Path | None,
+        now_s: Callable[[], float] = time.monotonic,
+        on_confirmed: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Without a `folder` none come. `on_confirmed` is called when the board has carried one out."""
+        self._folder, self._now_s, self._looked_s, self._on_confirmed = folder, now_s, -LOOK_S, on_confirmed
         self._before = 0  # acknowledgements of the board when it was first told; meaningful while a request is open
         self._open = ""
 
@@ -52,6 +57,7 @@ class ZeroRequests:
             self._open, self._before = request, board.acknowledgements
         elif board.acknowledgements > self._before and board.acknowledged in answers(request.startswith(AIR)):
             link.set_zero(0.0)  # of a board that does not report its restarts
+            self._on_confirmed()
             self._end()
             return b""
         if not request:
@@ -114,7 +120,7 @@ def _this_boot() -> str:
 
 def write_request(path: Path, in_air: bool) -> None:
     """Make a request now. Raises OSError."""
-    replace_text(path, f"{AIR if in_air else KEPT} {_this_boot()} {boot_time_s():.3f}", durable=False)
+    put_for_owner(path, f"{AIR if in_air else KEPT} {_this_boot()} {boot_time_s():.3f}", durable=False)
 
 
 @contextmanager

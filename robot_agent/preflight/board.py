@@ -5,7 +5,6 @@ import itertools
 import platform
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -85,8 +84,13 @@ def check_device(config: AgentConfig) -> Iterator[CheckFinding]:
 def _depth_zero() -> Iterator[CheckFinding]:
     """Say of a board whose zero is in doubt how to get out of it; nothing otherwise."""
     record = None
-    with suppress(OSError):  # only the service's user, and root, may read it
+    try:
         record = read_record(state_folder() or SERVICE_FOLDER)
+    except PermissionError:  # only the service's user, and root, may read it
+        return
+    except OSError as error:
+        why = f"{error.filename}: {error.strerror}: a robot whose board reports no restarts will not arm"
+        yield CheckFinding("depth zero", CheckVerdict.WARN, f"{why} (is its depth right? `robot-agent confirm-zero`)")
     if record is not None and record.zero_m > RESTART_DEPTH_M:
         why = f"the board restarted where the robot was last known to be, at {record.zero_m:.2f} m: it will not arm"
         remedy = "restart the board in air; or, if it was in air, `robot-agent confirm-zero`"
