@@ -127,7 +127,7 @@ class Pond:
 
 @pytest.fixture(scope="module")
 def flown() -> Pond:
-    """Five seconds, the robot tracking for most of them."""
+    """Three seconds. The robot, which nothing moves, tracks for a second: longer, and it would be found to be held fast."""
     pond = Pond(load_experiment("pool", UNMOVED))
     pond.step(20)
     for order in (CommandKind.LOAD, CommandKind.ARM, CommandKind.START):
@@ -136,7 +136,7 @@ def flown() -> Pond:
         pond.step(2)
     refused = pond.order(CommandKind.ARM)
     assert not refused.accepted
-    pond.step(60)
+    pond.step(20)
     assert pond.order(CommandKind.HOLD).accepted
     pond.step(14)
     assert {state.mode for state in pond.states} == {Mode.DISARMED, Mode.ARMED, Mode.TRACKING, Mode.HOLDING}
