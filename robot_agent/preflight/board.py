@@ -221,8 +221,11 @@ def step_timing(experiment: Experiment, robot: int) -> CheckFinding:
             began = time.perf_counter_ns()
             state = agent.step(inputs, now_ns).state
             steps_ms.append((time.perf_counter_ns() - began) * 1e-6)
-    except RehearsalFailed as why:
-        return findings.not_timed(str(why))
+    except RehearsalFailed as failed:
+        return findings.not_timed(str(failed))
+    except Exception as error:  # a law of one's own that is not installed here, or that fails: the other checks go on
+        why = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
+        return CheckFinding("control step", CheckVerdict.FAIL, why)
     if state.mode is not Mode.TRACKING:
         return findings.not_timed(f"the robot is {state.mode.name}, {state.fault or 'for no reason told'}")
     p50, p99 = np.percentile(steps_ms[WARM_UP:], [50, 99]).tolist()
