@@ -1,7 +1,8 @@
 """The fault timeline: the faults that hold now, and their effects on plant, boards, camera and links. Pure.
 
 Time is seconds since the newest flight began, so no fault of the timeline begins before the robots start, and each flight of a
-session has the timeline. A person's fault begins at once, and lasts by the plant's time, also into the next flight. Faults of processes are applied by sim_bridge/sil/fault_injector.py.
+session has the timeline. A person's fault begins at once, and lasts by the plant's time, also into the next flight. Faults of
+processes are applied by sim_bridge/sil/fault_injector.py.
 """
 
 import math

@@ -72,7 +72,7 @@ def test_a_second_flight_has_the_timeline_from_its_own_start_on(tmp_path: Path) 
         children.start("agent-2", "http.server", ["0"])
         events, hub = list[str](), MemoryHub()
         with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as person:
-            person.subscribe(topics.EVENT, None, lambda topic, key, _, data: events.append(decode(Event, data, key, "").message))
+            person.subscribe(topics.EVENT, None, lambda _, key, __, data: events.append(decode(Event, data, key, "").message))
             lines = ["t=10 clock agent-1 step 60", "t=20 process agent-2 killed"]
             injector = ProcessFaultInjector(load_experiment("pool", faults=lines), children, bus)
             for began_ns, time_s in ((1, 5.0), (1, 6.0), (2, 11.0), (2, 12.0), (3, 25.0), (4, -0.4), (4, 0.1), (5, 30.0)):
