@@ -62,7 +62,8 @@ class PoolNode:
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = sockets
         self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
-        self._began_ns = 0  # of the newest flight, on the station's clock
+        self._began_ns = 0  # of the newest flight, on the station's clock,
+        self._start_ns: int | None = None  # and on ours
         self._requests: deque[FaultRequest] = deque()  # of people, not applied yet
         self._localizer = IdealLocalizer(experiment, experiment.seed) if poses else None
         names = () if poses else experiment.camera_names or ("",)
@@ -156,12 +157,13 @@ class PoolNode:
 
     def _note_start(self, world: World, begin_ns: int) -> None:
         """Note the instant at which the newest flight of the formation begins, from which faults count: the station reports
-        it. Plant time 0 is `begin_ns`."""
+        it. Plant time 0 is `begin_ns`, which is a later instant after the plant has lost time."""
         received = self._heartbeat.newest()
         if received is not None and received.message.began_ns not in (0, self._began_ns):
             self._began_ns = received.message.began_ns
-            since_ns = received.header.stamp_ns - self._began_ns
-            world.start_ns = self._clock.instant_ns(received) - since_ns - begin_ns
+            self._start_ns = self._clock.instant_ns(received) - (received.header.stamp_ns - self._began_ns)
+        if self._start_ns is not None:
+            world.start_ns = self._start_ns - begin_ns
 
     # --- by the wall clock
 

@@ -189,6 +189,41 @@ def test_a_fault_by_hand_counts_from_the_newest_flight_of_the_session(caplog: py
     assert imu == ["fault: imu 1 gyro 0.1", "fault over: imu 1 gyro 0.1", "fault: imu 1 gyro 0.1"]
 
 
+@pytest.mark.timeout(60)
+def test_a_fault_by_hand_counts_by_the_flights_time_after_a_standstill(caplog: pytest.LogCaptureFixture) -> None:
+    """The simulator was held up for a second, which the water has lost, and the robots' trajectories have not."""
+    caplog.set_level(logging.INFO, "shoal")
+    experiment = load_experiment("pool", ["sim.latency_s=0", ROBOT])
+    hub, stop, lines = MemoryHub(), Stop(install=False), list[str]()
+    station, clock = Bus(MemoryTransport(hub)), WallClock()
+    exposed, begun_ns = 0, clock.now_ns()
+
+    def stand_still(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        nonlocal exposed
+        exposed += 1
+        if exposed == 1:
+            station.publish(topics.HEARTBEAT, StationHeartbeat(began_ns=begun_ns), clock.now_ns())
+        elif exposed == 4:
+            time.sleep(1.0)
+        elif exposed == 8:
+            station.publish(topics.FAULT, FaultRequest("battery 1 sag"), clock.now_ns())
+
+    def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        lines.append(decode(Event, payload, key, topic.name).message)
+        if "by hand" in lines[-1]:
+            lines.append(f"{(clock.now_ns() - begun_ns) * 1e-9}")
+            stop.request()
+
+    station.subscribe(topics.TRUTH, None, stand_still)
+    station.subscribe(topics.EVENT, None, hear)
+    sockets = UdpPorts(free_base_port((1,)), (1,), experiment.seed)
+    PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
+    made = next(k for k, line in enumerate(lines) if "by hand" in line)
+    assert any("time skipped" in line for line in lines)
+    told_s = float(lines[made].removeprefix(f"{BY_HAND}t=").split()[0])
+    assert told_s == pytest.approx(float(lines[made + 1]), abs=0.2)
+
+
 class TickingClock:
     """A millisecond later at each look."""
 
