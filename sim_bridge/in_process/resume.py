@@ -247,7 +247,10 @@ def faults_by_hand(run: Path, moment: Moment) -> list[tuple[str, str]]:
 
 def prepared(experiment: Experiment, source: Path, moment: Moment) -> tuple[AgentFleet, DirectPlant]:
     """Fleet and plant as they were at a moment of the run in `source`. Raises ConfigError, and leaves no files behind, if the
-    robots were not under way then."""
+    robots were not under way then, or nothing would be left to fly."""
+    if moment.at_s >= experiment.duration_s:
+        end_s = f"duration_s = {experiment.duration_s:g}"
+        raise ConfigError(f"--at: the moment is at {moment.at_s:g} s, and the flight ends there or before ({end_s})")
     histories = [_read_history(experiment, source, moment, robot) for robot in experiment.robot_ids]
     return resume(experiment, histories, experiment.seed, time.perf_counter_ns)
 

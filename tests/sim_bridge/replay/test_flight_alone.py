@@ -13,7 +13,7 @@ from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import Mode, RobotState, StepInputs
-from sim_bridge.in_process.resume import Moment, lines_until, moment_of
+from sim_bridge.in_process.resume import Moment, lines_until, moment_of, prepared
 
 STEP_NS = 50_000_000
 ALONE_S, FLOWN_S = 5.0, 2.0
@@ -58,6 +58,12 @@ def test_a_moment_is_found_though_the_first_robot_did_not_come_so_far(run: Path)
 def test_a_moment_of_the_run_is_none_of_the_flight_before_it(run: Path) -> None:
     with pytest.raises(ConfigError, match=r"at 4 s there is nothing: robot 1 came to 2\.00 s"):
         moment(run, [1], 4.0)
+
+
+def test_a_moment_behind_the_flights_end_is_refused(run: Path) -> None:
+    """As where --duration makes the flight shorter: nothing would be flown, and that be judged."""
+    with pytest.raises(ConfigError, match=r"--at: the moment is at 1 s, and the flight ends there or before \(duration_s = 1\)"):
+        prepared(load_experiment("pool", ["duration_s=1"]), run, moment(run, [1], 1.0))
 
 
 def test_a_moment_of_a_hold_is_the_one_at_which_the_robot_goes_on(tmp_path: Path) -> None:
