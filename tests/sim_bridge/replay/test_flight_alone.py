@@ -62,7 +62,7 @@ def test_a_moment_of_the_run_is_none_of_the_flight_before_it(run: Path) -> None:
 
 def test_a_moment_behind_the_flights_end_is_refused(run: Path) -> None:
     """As where --duration makes the flight shorter: nothing would be flown, and that be judged."""
-    with pytest.raises(ConfigError, match=r"--at: the moment is at 1 s, and the flight ends there or before \(duration_s = 1\)"):
+    with pytest.raises(ConfigError, match=r"the moment is at 1 s, and the flight ends there or before \(duration_s = 1\)"):
         prepared(load_experiment("pool", ["duration_s=1"]), run, moment(run, [1], 1.0))
 
 
