@@ -1,7 +1,8 @@
 """The fault timeline: the faults that hold now, and their effects on plant, boards, camera and links. Pure.
 
-Time is seconds along the trajectories, so no fault of the timeline begins before the robots start. A person's fault begins at
-once, and lasts by the plant's time. Faults of processes are applied by sim_bridge/sil/fault_injector.py.
+Time is seconds since the newest flight began, so no fault of the timeline begins before the robots start, and each flight of a
+session has the timeline. A person's fault begins at once, and lasts by the plant's time, also into the next flight. Faults of
+processes are applied by sim_bridge/sil/fault_injector.py.
 """
 
 import math
@@ -86,7 +87,7 @@ class FaultSchedule:
         self._derive()
 
     def at(self, time_s: float, plant_s: float = 0.0) -> list[str]:
-        """Move to a time along the trajectories, and the plant's. Returns a line of text for each fault that began or
+        """Move to a time of the flight, and the plant's. Returns a line of text for each fault that began or
         ended."""
         if not (self._faults or self._by_hand or self._active):
             return []
@@ -112,7 +113,7 @@ class FaultSchedule:
         return f"before the start{during} {what}" if for_s and time_s < 0.0 else f"t={max(time_s, 0.0):.3f}{during} {what}"
 
     def quiet_steps(self, time_s: float, step_s: float, most: int, plant_s: float = 0.0) -> int:
-        """Number of plant steps, 1 to `most`, before the next fault begins or ends. `time_s` is along the trajectories, as the
+        """Number of plant steps, 1 to `most`, before the next fault begins or ends. `time_s` is the flight's, as the
         experiment's faults are; `plant_s` is the plant's, as those of a person are."""
         if not (self._faults or self._by_hand):
             return most

@@ -156,6 +156,14 @@ def zero_ns(log: RunLog, robots: Sequence[int], flight: int = 0) -> int:
 # --- flights
 
 
+def chosen_flight(log: RunLog, robots: Sequence[int], flight: int | None = None) -> tuple[int, Flight | None]:
+    """A flight of a log by its number, or the one that `align` chooses, and its number; 0 and None where nothing flew. Raises
+    ConfigError where there is none of that number."""
+    flights = _flights(log, robots)
+    number = _chosen(flights, flight)
+    return number, flights[number - 1] if number else None
+
+
 def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
     one flies any more."""

@@ -13,7 +13,7 @@ from groundstation.analysis.acceptance import went_all_the_way
 from groundstation.analysis.numbers import with_unit
 from groundstation.analysis.results import Cause, Check, Result
 from groundstation.analysis.series import Series, TimelineEvent
-from groundstation.analysis.timeline import INJECTED, STOOD_STILL, faults, is_injection
+from groundstation.analysis.timeline import ENDED, INJECTED, STOOD_STILL, faults, is_injection
 from shoal.messages.messages import Mode
 
 PASSED, FAILED, NOT_JUDGED = "passed", "failed", "not judged"
@@ -193,9 +193,16 @@ def _injected_before(fault: TimelineEvent, series: Series) -> str:
 
 
 def _injected(series: Series, until_s: float = math.inf) -> list[str]:
-    """Injections of the simulator up to a time, or the flight's end, each with its own time."""
+    """Injections of the simulator up to a time, or the flight's end, each with its own time; without those that were over
+    before the flight."""
     until_s = min(until_s, series.ended_s) if series.started else until_s
-    injections = [e for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED) and e.time_s <= until_s]
+    events = [e for e in series.timeline_events if is_injection(e) and e.time_s <= until_s]
+
+    def was_over(event: TimelineEvent) -> bool:
+        over = ENDED + event.text.removeprefix(INJECTED)
+        return series.started and any(e.text == over and event.time_s <= e.time_s < 0.0 for e in events)
+
+    injections = [e for e in events if e.text.startswith(INJECTED) and not was_over(e)]
     return [f"{e.text.removeprefix(INJECTED)} {_when(e, series)}" for e in injections]
 
 

@@ -346,17 +346,23 @@ class Executor:
 def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
     """Run an experiment in this process, after `commands.check`. Folder, verdict and exit code are those of `launcher.run`."""
     launcher.write_experiment(experiment, run_dir)
-    hub = MemoryHub()
-    executor = Executor(experiment, run_dir, hub, poses=options.poses, pace=options.pace)
-    monitor = Monitor(experiment, Bus(MemoryTransport(hub)), options.pace)
-    stop.on_request(lambda: executor.stop.request(stop.interrupted))
     log_file, succeeded = run_dir / "run.mcap", False
     try:
-        with monitor.shown(console) as say:
-            print_address = partial(launcher.tell_page, options.page, console) if options.page is not None else lambda: None
-            succeeded = executor.fly(say, automatic=not options.manual, page=options.page, came_up=print_address)
+        succeeded = fly(experiment, run_dir, options, stop, console)
     except (ConfigError, Failed) as error:
         launcher.print_error(console, str(error))
         if isinstance(error, ConfigError) and not log_file.exists():
             return launcher.nothing_flown(run_dir, console)
     return launcher.conclude(run_dir, log_file.exists(), succeeded, stop, console)
+
+
+def fly(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> bool:
+    """Fly an experiment in this process into a folder that holds it. Returns whether the mission succeeded; raises as
+    `Executor.fly`."""
+    hub = MemoryHub()
+    executor = Executor(experiment, run_dir, hub, poses=options.poses, pace=options.pace)
+    monitor = Monitor(experiment, Bus(MemoryTransport(hub)), options.pace)
+    stop.on_request(lambda: executor.stop.request(stop.interrupted))
+    with monitor.shown(console) as say:
+        print_address = partial(launcher.tell_page, options.page, console) if options.page is not None else lambda: None
+        return executor.fly(say, automatic=not options.manual, page=options.page, came_up=print_address)

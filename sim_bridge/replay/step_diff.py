@@ -94,6 +94,8 @@ def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment
         stamp for stamp, state in zip(stamps, was, strict=True) if state.estimate is not None and stamp not in before.plans
     ]
     unlogged = [f"the plan of robot {robot} at {s:.2f} s is not in the log" for s in time_s[np.isin(stamps, lost)].tolist()]
+    if missing := len(after.states) - len(stamps):
+        unlogged.append(f"{missing} states of robot {robot} are not in the log: it had no radio, or they were lost")
     left_out = MEASURED if same_experiment else MEASURED | NAMED_SO
     names = [name for name in _paths(RobotState) if name not in left_out]
     columns = {name: ([_value(s, name) for s in was], [_value(s, name) for s in would]) for name in names}
