@@ -14,7 +14,7 @@ from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, sample_mosaic
 from sim_bridge.camera.scene import WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
-from sim_bridge.camera.water_optics import PHASE_S, Blend, RowLight, WaterLight, caustic_levels, light_up
+from sim_bridge.camera.water_optics import PHASE_S, Blend, RowLight, WaterLight, blend_lit_view, caustic_levels
 
 
 class StaticBackground:
@@ -67,7 +67,7 @@ class StaticBackground:
         views, glares = Blend(view, next_view, share), Blend(glare, next_glare, share)
         first, second, share = waters.caustic_clock.phase(time_s)
         levels = Blend(self._level_phase(first), self._level_phase(second), share)
-        light_up(views, glares, levels, self._reach, self._scratch, self._blend)
+        blend_lit_view(views, glares, levels, self._reach, self._scratch, self._blend)
         return self._scene, self._blend
 
     def _view_phase(self, number: int) -> tuple[Bytes, Bytes]:
