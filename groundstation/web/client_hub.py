@@ -233,7 +233,7 @@ class ClientHub:
         if len(self._watchers) >= MOST_WATCHERS:
             await websocket.close(TOO_MANY, f"{MOST_WATCHERS} pages are open already")
             return
-        hello = await self._introduced(websocket)
+        hello = await self._receive_hello(websocket)
         if hello is None or not token_allowed(self._options, hello.token):
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await websocket.close(NOT_ALLOWED, "wrong token")
@@ -258,8 +258,8 @@ class ClientHub:
             self._lease.leave(watcher.id)
 
     async def _greet(self, websocket: WebSocket, watcher: Client, greeting: dict[str, Any]) -> None:
-        """Send a page its greeting, with what the disk has for it, and then all that comes. A disk that hangs keeps no page
-        from stopping the fleet, not this one either; and none from a run that is flown, which goes on without it."""
+        """Send a page its greeting, with the files of its run, and then all that comes. In a flight the greeting does not wait
+        for a disk that hangs: the page needs its STOP."""
         reading = asyncio.create_task(self._in_thread(self._files, lambda _: NO_FILES, self._files_of_run))
         scene = greeting["scene"]
         await asyncio.wait({reading}, timeout=None if scene["mode"] == "replay" else FILES_WITHIN_S)
@@ -268,12 +268,12 @@ class ClientHub:
         await _send(websocket, watcher)
 
     def _files_of_run(self) -> dict[str, Any]:
-        """The part of a scene that is on the disk."""
+        """The part of a scene that is read from the disk: the run's report and end, and experiments that can be loaded."""
         experiments = loadable(self._source.experiment.robot_ids)
         return {"report": self._desk.shown_report, "end": self._desk.shown_end, "loadable": experiments}
 
-    async def _introduced(self, websocket: WebSocket) -> protocol.Hello | None:
-        """The first thing that a connection says, if it is a hello and comes in time."""
+    async def _receive_hello(self, websocket: WebSocket) -> protocol.Hello | None:
+        """Receive a connection's first message: None if it is no hello, or does not come in time."""
         first = asyncio.create_task(_receive(websocket))
         self._strangers.append(first)
         if len(self._strangers) > MOST_STRANGERS:
@@ -298,13 +298,15 @@ class ClientHub:
                 self._spawn(_close(before.websocket, ELSEWHERE, "the page has come back over another connection"))
 
     async def _listen(self, websocket: WebSocket, watcher: Client) -> None:
+        """Act on a page's messages until its connection ends. A request with a wrong value is answered; a message that no page
+        sends ends the connection."""
         while True:
             try:
                 request = await _receive(websocket)
             except WebSocketDisconnect:
                 return
             except protocol.BadRequest as error:
-                if error.answer is not None:  # else what a person types would end the control over robots that fly
+                if error.answer is not None:  # a typing error must not end the connection, and with it a person's lease
                     self._lease.note_life(watcher.id, time.monotonic())
                     watcher.answer(error.answer)
                     continue
