@@ -90,7 +90,8 @@ class ParameterClient:
         return self._list.is_complete
 
     def objection(self, trouble: str = "") -> str:
-        """The reason to send nothing more: an autopilot is there, or nobody is heard; empty for a thruster board."""
+        """The reason to send nothing more: an autopilot is there, or nobody is heard (see `silence`); empty for a thruster
+        board."""
         if self.autopilot:
             return f"{self.autopilot} is there, no thruster board: it takes pulses for a pilot's sticks"
         return self.silence(trouble)
