@@ -325,7 +325,7 @@ class AgentNode:
                 return
             self._hurry.clear()
             now_s, pose = time.monotonic(), self.poses.newest()
-            pace.stepped(now_s, _arrived_s(pose, taken))
+            pace.note_step(now_s, _arrived_s(pose, taken))
             taken = pose
             yield StepTime(self.clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9))
 
@@ -392,7 +392,7 @@ class AgentNode:
         self._send_to_board(outputs, now_ns)
         sent_ns = time.perf_counter_ns() - started_ns
         if not self.clock.waits:  # where time waits for the step, nothing is late
-            self._pace.put_out((sent_ns + now_ns - due_ns) * 1e-9)
+            self._pace.count_lateness((sent_ns + now_ns - due_ns) * 1e-9)
         age_ns = 0 if self.clock.waits else sent_ns
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=age_ns)
