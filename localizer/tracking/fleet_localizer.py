@@ -478,6 +478,8 @@ class FleetLocalizer:
         return self._tracks[robot].state is Track.LOST
 
     def _is_certain(self, robot: int) -> bool:
+        """True if a robot's pose is good enough to learn its appearance there. Without markers, the first pose is the
+        start's."""
         track = self._tracks[robot]
         if self._settings.markers:
             return track.state is Track.MARKER and track.measured is not None and track.verified
