@@ -395,7 +395,7 @@ class ClientHub:
                 if isinstance(request, protocol.DriveRequest):
                     await self._drive(watcher, request)
                 elif isinstance(request, protocol.PreviewEdit):
-                    await self._attempt(watcher, request)
+                    await self._preview_edit(watcher, request)
                 elif isinstance(request, protocol.PreviewFlight):
                     await self._preview_flight(watcher, request)
         finally:
@@ -463,6 +463,7 @@ class ClientHub:
             watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:
+        """Request a change of gains from the station, and reply to the page."""
         reason, number = await self._run_order(
             lambda: self._control_refusal(watcher) or self._lateness_refusal(request.seen_ms, ORDER_VALID_S),
             _refused,
@@ -483,11 +484,13 @@ class ClientHub:
         except Exception as error:
             self._complain(error)
 
-    async def _attempt(self, watcher: Client, tried: protocol.PreviewEdit) -> None:
-        judged = await self._in_thread(self._plans, _unfit, attempt, self._source.experiment, tried.edit)
-        watcher.answer({"k": "tried", "n": tried.n} | judged)
+    async def _preview_edit(self, watcher: Client, request: protocol.PreviewEdit) -> None:
+        """Answer a page with the paths that its edit of the experiment would give, or the reasons against it."""
+        answer = await self._in_thread(self._plans, _unfit, attempt, self._source.experiment, request.edit)
+        watcher.answer({"k": "tried", "n": request.n} | answer)
 
     async def _preview_flight(self, watcher: Client, request: protocol.PreviewFlight) -> None:
+        """Answer a page with the plan that an order would give in flight, or the reasons against it."""
         order, station = order_named(request.order), self._source.station
         answer = await self._in_thread(
             self._plans, _unfit, drafted, self._source.experiment, order, request.text, station.draft
@@ -495,6 +498,7 @@ class ClientHub:
         watcher.answer({"k": "drafted", "n": request.n} | answer)
 
     async def _save(self, watcher: Client, request: protocol.Save) -> None:
+        """Save a page's edit as an experiment's file, and answer with its name or the reason against it."""
         reason = self._control_refusal(watcher)
         done = (
             _unfit(reason)
@@ -504,6 +508,7 @@ class ClientHub:
         watcher.answer({"k": "saved", "n": request.n} | done)
 
     async def _choose(self, watcher: Client, request: protocol.AfterRun) -> None:
+        """Have a page choose what is started after this run, and answer with the problems of that."""
         reason = self._control_refusal(watcher)
         problems = (
             [reason]
