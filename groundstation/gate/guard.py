@@ -99,6 +99,7 @@ class Pump:
                 self.sink.shutdown(socket.SHUT_WR)
 
     def _send(self, data: bytes | memoryview) -> int:
+        """Send bytes to the sink. Returns how many it took. Raises PeerClosed if it has gone."""
         try:
             return self.sink.send(data)
         except BlockingIOError:

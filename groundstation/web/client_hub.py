@@ -167,6 +167,7 @@ class ClientHub:
             await asyncio.sleep(LOOK_S if self._watchers else AT_LEAST_S)
 
     def _complain(self, error: Exception) -> None:
+        """Log an error that keeps the page from new states, at most once in COMPLAIN_EVERY_S."""
         now_s = time.monotonic()
         if now_s - self._complained_s >= COMPLAIN_EVERY_S:
             self._complained_s = now_s
@@ -508,7 +509,7 @@ class ClientHub:
         watcher.answer({"k": "saved", "n": request.n} | done)
 
     async def _choose(self, watcher: Client, request: protocol.AfterRun) -> None:
-        """Have a page choose what is started after this run, and answer with the problems of that."""
+        """Do what a page chose after an ended run: fly again, fly its edit, or close; answer with the problems, if any."""
         reason = self._control_refusal(watcher)
         problems = (
             [reason]
@@ -578,6 +579,7 @@ async def _close(websocket: WebSocket, code: int, why: str) -> None:
 
 
 async def _receive(websocket: WebSocket) -> protocol.Request:
+    """The next request of a page. Raises WebSocketDisconnect, and BadRequest for a message that is none."""
     message = await websocket.receive()
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", 1000))
@@ -585,6 +587,7 @@ async def _receive(websocket: WebSocket) -> protocol.Request:
 
 
 async def _send(websocket: WebSocket, watcher: Client) -> None:
+    """Send a page its frames as its window allows, until the connection ends."""
     with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):  # it has gone: `_listen` notices too
         while True:
             frame = watcher.window.next(time.monotonic())

@@ -183,6 +183,7 @@ class FleetLocalizer:
     # --- in the order of `locate` and `finish`
 
     def _predict(self, stamp_ns: int) -> None:
+        """Advance camera pose, tracks and motion estimates to this exposure."""
         elapsed_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / 1e9
         self._stamp_ns = stamp_ns
         step_s = min(max(elapsed_s, 0.0), _LONGEST_STEP_S)

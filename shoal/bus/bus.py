@@ -297,6 +297,7 @@ class Bus:
         return collected
 
     def _header(self, topic: Topic, header: bytes) -> Header | None:
+        """Decode a message's header; None, and counted as rejected, if that fails."""
         try:
             return Header.decode(header, "unknown peer", topic.name)
         except DecodeError:

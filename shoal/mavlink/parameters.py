@@ -40,6 +40,7 @@ class ParameterClient:
         self.error: tuple[str, int] | None = None  # PARAM_ERROR about that one: its name, MAV_PARAM_ERROR
 
     def _is_board(self, peer: Peer) -> bool:
+        """True for the peer whose parameters are wanted. Boards of other robots are remembered, to name them in messages."""
         wanted = self.robot_id in (None, peer[0])
         if peer[1] == BOARD_COMPONENT and not wanted:
             self._others.add(peer[0])

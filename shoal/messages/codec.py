@@ -171,6 +171,7 @@ def _cut(text: str, longest: int) -> str:
 
 
 def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
+    """The member of an enum with this value. Raises _Invalid with the allowed ones."""
     try:
         return enum(value)
     except ValueError:

@@ -402,6 +402,7 @@ def _set_armed(probe: BoardProbe) -> Measured:
 
 
 def _unknown(probe: BoardProbe) -> Measured:
+    """Set a parameter that does not exist: the board must answer PARAM_ERROR."""
     before = len(probe.station.values)
     probe.wire.send(probe.station.set("NO_SUCH_THING", 1.0))
     probe.listen(0.3)
@@ -513,6 +514,7 @@ def _forged(probe: BoardProbe) -> Measured:
 
 
 def _replayed(probe: BoardProbe) -> Measured:
+    """Check that the board ignores a signed frame that it has had before."""
     recorded = probe.computer.arm(False)
     probe.wire.send(recorded)
     probe.listen(0.3)
