@@ -179,7 +179,7 @@ def drafted(
 
 
 def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[str, Any]:
-    """What the page shows of a plan: paths, duration and figures."""
+    """A plan as the page gets it: paths, duration and figures."""
     flown = flown_samples(experiment)
     return {
         "paths": paths(trajectories, flown),
