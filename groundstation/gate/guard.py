@@ -125,16 +125,17 @@ class Guard:
     """The guard's event loop."""
 
     def __init__(self, listener: socket.socket, ports: tuple[int, int], tell: Callable[[str], None], most_links: int) -> None:
-        """`ports`: the router's loopback ports, of the lane of new origins and of known ones. `tell` takes a sentence."""
+        """Accept connections of `listener`. `ports`: the router's loopback ports, of the lane of new origins and of known
+        ones. `tell` takes a sentence for the station. `most_links`: connections to the router at a time."""
         self._ports, self._tell = ports, tell
         self._admission, self._refusals = Admission(most_links), Refusals()
         self._selector = selectors.DefaultSelector()
         self._interest: dict[socket.socket, int] = {}  # events for which a socket is registered
         self._peers: dict[int, tuple[socket.socket, str]] = {}  # all connections, with their address
-        self._hellos: dict[int, list[bytes]] = {}  # of those that wait, as far as it has come, in the pieces it came in
+        self._hellos: dict[int, list[bytes]] = {}  # of connections that wait: pieces of the ClientHello that have come
         self._links: dict[int, ProxiedConnection] = {}
         self._at_router: dict[int, int] = {}  # number of each link, by the port from which it reaches the router
-        self._unwanted = b""  # of the ports on the watched descriptor: what has come of the next
+        self._unwanted = b""  # begin of the next line on the watched descriptor: the port of a connection to end
         self._number = 0
         self._buffer = bytearray(CHUNK)
         self._next_deadline_s = float("inf")  # when `_serve_deadlines` is due; 0: at once
