@@ -91,8 +91,8 @@ class World(PlantRun):
 
     def apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
-        changes = self.faults.at(self.flown_s, self.now_ns * 1e-9)
-        self._blow(self.faults.gust_mps)
+        changes = self.faults.advance(self.flown_s, self.now_ns * 1e-9)
+        self._set_gust(self.faults.gust_mps)
         for board, faults in zip(self.boards, self.faults.imu if changes else (), strict=False):
             board.sensors.faults = faults
         return changes

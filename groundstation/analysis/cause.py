@@ -230,8 +230,8 @@ def _stations_reason(series: Series) -> TimelineEvent | None:
 
 
 def _excess(check: Check) -> float:
-    """Ratio by which a requirement is missed; infinite where the figure is missing."""
+    """Ratio by which a requirement is missed (1: just met); infinite where the figure is missing."""
     if check.value is None:
         return math.inf
-    one, other = (check.limit, check.value) if check.at_least else (check.value, check.limit)
-    return one / other if other > 0.0 else math.inf
+    larger, smaller = (check.limit, check.value) if check.at_least else (check.value, check.limit)
+    return larger / smaller if smaller > 0.0 else math.inf

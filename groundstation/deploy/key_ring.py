@@ -150,6 +150,7 @@ def _without(members: MemberList, process: str, now: datetime) -> MemberList:
 
 
 def _authority(ring: Path) -> KeyPair:
+    """Certificate and private key of the ring's authority. Raises ConfigError if one is missing."""
     with os_errors_as_config_errors(ring):
         for path in (ring / CA, ring / AUTHORITY_KEY):
             if not path.is_file():

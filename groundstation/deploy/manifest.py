@@ -46,7 +46,7 @@ class Probe:
 
 
 def parse_target(text: str) -> Target:
-    """[USER@]HOST=ROBOT. Raises ConfigError."""
+    """Parse a board's address and robot, [USER@]HOST=ROBOT. Raises ConfigError."""
     host, equals, robot = text.rpartition("=")
     # A host that begins with a dash would be an option to ssh.
     if not equals or not re.fullmatch(r"[A-Za-z0-9_][\w.@:-]*", host) or not robot.isdecimal() or not 0 < int(robot) < 1000:
@@ -55,7 +55,7 @@ def parse_target(text: str) -> Target:
 
 
 def parse_targets(texts: Sequence[str]) -> tuple[Target, ...]:
-    """All of them, each robot once."""
+    """Parse several boards, each [USER@]HOST=ROBOT. Raises ConfigError if a robot or a board is named twice."""
     targets = tuple(map(parse_target, texts))
     for values, what in (([str(t.robot) for t in targets], "robot"), ([t.host for t in targets], "board")):
         doubled = [v for v in values if values.count(v) > 1]

@@ -93,6 +93,7 @@ class LogPlayer:
         return blocks
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
+        """Yield robot, time since the log's start in ns, and message of a topic, for one robot or all."""
         for line in self._log.messages(lambda t, r: t is topic and robot in (None, r)):
             message = _read(kind, line.payload)
             if message is not None:
@@ -423,6 +424,7 @@ class ReplayBackend:
         )
 
     def _view(self, robot: int, news: RobotSnapshot, now_ns: int) -> RobotView:
+        """A robot as a station would have seen it at an instant of the log."""
         ages_s = [n.age_ms * 1e-3 if n.message is not None else math.inf for n in (news.state, news.pose)]
         ages_s.append(self._log.plan_age_s(news.plan, robot, now_ns))
         link = self._log.link(robot, now_ns)
@@ -444,6 +446,7 @@ class ReplayBackend:
         return {robot: max(bisect_right([at for at, _ in changes], now) - 1, 0) for robot, changes in segments.items()}
 
     def _paths_of(self, flown: Mapping[int, int]) -> list[dict[str, Any]]:
+        """The paths that robots flew, each from where it leaves the one before; `flown`: index of each robot's segment."""
         path_list, segments = [], self._log.segments
         for robot, k in flown.items():
             trajectory = segments[robot][k][1]

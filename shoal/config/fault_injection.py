@@ -195,6 +195,7 @@ def read_request(
 
 
 def _seconds(text: str) -> float:
+    """Parse the length of a fault. Raises ValueError."""
     try:
         value = float(text)
     except ValueError:
@@ -209,6 +210,7 @@ def _usage(name: str, effect: Effect) -> str:
 
 
 def _number(text: str, effect: Effect) -> float:
+    """Parse the number of a fault's effect, within the effect's range. Raises ValueError."""
     try:
         value = float(text)
     except ValueError:

@@ -42,6 +42,7 @@ class LinkWire:
         return self._link.read()
 
     def strangers(self) -> tuple[Callable[[], None], Callable[[], int]] | None:
+        """See `BoardWire`: over UDP STRANGERS peers, at ports of their own; a serial line has one other end."""
         from shoal.mavlink.board_port import UdpLink
 
         link = self._link
@@ -49,11 +50,14 @@ class LinkWire:
             return None
         self._others = self._others or [UdpLink(*link.address) for _ in range(STRANGERS)]
 
-        def speak() -> None:
+        def send_bytes() -> None:
             for other in self._others:
                 other.send(b"x")
 
-        return speak, lambda: sum(bool(other.read()) for other in self._others)
+        def count_answered() -> int:
+            return sum(bool(other.read()) for other in self._others)
+
+        return send_bytes, count_answered
 
     def close(self) -> None:
         """Close the links that `strangers` opened."""

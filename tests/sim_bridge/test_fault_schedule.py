@@ -37,7 +37,7 @@ def thrust(line: str, pulses: list[float]) -> Array:
     fleet, faults = Plant(experiment, 1), FaultSchedule(experiment)
     state = fleet.start(APART)
     for k in range(300):
-        faults.at(k * 0.005)
+        faults.advance(k * 0.005)
         wanted = [1600.0] * 4 if k <= 100 else pulses
         state = fleet.step(state, faults.pulses(np.tile([*wanted, *[1500.0] * 4], (2, 1))), faults.actuators)
     return state.motors.force_n
@@ -53,10 +53,10 @@ def test_broken_thruster_gives_its_faulty_thrust(effect: str, factor: float) -> 
 
 def test_schedule_names_what_breaks_and_what_is_repaired() -> None:
     faults = FaultSchedule(load_experiment("pool", faults=["t=1 for=2 camera dark", "t=2 battery 1 sag 2"]))
-    assert faults.at(0.99) == []
-    assert faults.at(1.0) == ["fault: camera dark"]
-    assert faults.at(2.5) == ["fault: battery 1 sag 2"]
-    assert faults.at(3.0) == ["fault over: camera dark"]
+    assert faults.advance(0.99) == []
+    assert faults.advance(1.0) == ["fault: camera dark"]
+    assert faults.advance(2.5) == ["fault: battery 1 sag 2"]
+    assert faults.advance(3.0) == ["fault over: camera dark"]
     assert faults.actuators.sag_v.tolist() == [2.0, 0.0] and faults.camera == ()
     assert [faults.quiet_steps(time_s, 0.005, 150) for time_s in (-1.0, 0.5, 0.51, 0.998, 1.0, 2.9, 3.0)] == [
         150, 100, 98, 1, 150, 20, 150
@@ -109,7 +109,7 @@ def test_imu_faults_change_what_is_measured_of_a_turn(
 ) -> None:
     experiment = load_experiment("pool", [], [f"t=0 {what}" for what in whats])
     schedule, sensors, still = FaultSchedule(experiment), BoardSensors(experiment, 1, 1), np.zeros(4)
-    schedule.at(0.0)
+    schedule.advance(0.0)
     sensors.faults = schedule.imu[0]
     reading = sensors.read(still, np.array([0.0, 0.0, 0.0, 0.4]), still)
     assert reading.yaw_rate_radps == pytest.approx(rate_radps, abs=0.02)
@@ -224,17 +224,17 @@ def test_a_fault_made_by_hand_holds_from_then_on_and_is_reported_as_a_command_li
     """The plant is two seconds older than the robots' flight."""
     experiment = load_experiment("pool", faults=["t=1 thruster 1/1 weak 0.5"])
     schedule = FaultSchedule(experiment)
-    schedule.at(5.0, 7.0)
+    schedule.advance(5.0, 7.0)
     assert schedule.add("thruster 2/3 dead", 0.0, 5.0, 7.0) == "t=5.000 thruster 2/3 dead"
     assert schedule.add("water gust 0.04", 2.0, 5.0, 7.0) == "t=5.000 for=2 water gust 0.04"
     assert schedule.add("ball 0.5,-1 drops", 0.0, 5.0, 7.0) == "t=5.000 ball 0.5,-1 drops"
-    assert schedule.at(5.0, 7.0) == ["fault: thruster 2/3 dead", "fault: water gust 0.04", "fault: ball 0.5,-1 drops"]
+    assert schedule.advance(5.0, 7.0) == ["fault: thruster 2/3 dead", "fault: water gust 0.04", "fault: ball 0.5,-1 drops"]
     assert (schedule.actuators.thrust[1, 2], schedule.gust_mps) == (0.0, 0.04)
     assert schedule.balls[0].start_m == (0.5, -1.0, experiment.path.depth_m)
     assert schedule.quiet_steps(6.0, 0.1, 1000, 8.0) == 10
-    assert schedule.at(7.0, 9.0) == ["fault over: water gust 0.04"]
+    assert schedule.advance(7.0, 9.0) == ["fault over: water gust 0.04"]
     assert schedule.add("", 0.0, 9.0, 11.0) == "mended at 9.000 s: thruster 2/3 dead; mended at 9.000 s: ball 0.5,-1 drops"
-    assert schedule.at(9.0, 11.0) == ["fault over: thruster 2/3 dead", "fault over: ball 0.5,-1 drops"]
+    assert schedule.advance(9.0, 11.0) == ["fault over: thruster 2/3 dead", "fault over: ball 0.5,-1 drops"]
     assert schedule.actuators.thrust[0, 0] == 0.5  # what the file breaks stays broken
 
 
