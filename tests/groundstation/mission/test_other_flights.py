@@ -13,7 +13,7 @@ from shoal.config.experiment import Experiment, dump_experiment, load_experiment
 from shoal.config.loader import parse_toml
 from shoal.errors import ConfigError
 from shoal.messages.messages import CommandKind, Mode, Progress
-from tests.groundstation.mission.simulated_fleet import PLACES, THREE, SimulatedFleet, an_experiment
+from tests.groundstation.mission.simulated_fleet import PLACES, THREE, TWO, SimulatedFleet, an_experiment
 
 CIRCLE = '[path]\nkind = "circle"\ndiameter_m = 1.0\nlap_s = 60.0\ndepth_m = 0.3\n'
 
@@ -354,3 +354,38 @@ def test_a_form_can_be_taken_from_a_hold_that_reaches_the_robots_at_the_paths_en
     assert all(robot.clock.reached_s > fleet.mission.segment.end_s for robot in fleet.robots.values())
     assert ask(fleet, CommandKind.FORMATION, "line 0.8") == ""
     until(fleet, MissionState.DONE, 60.0)
+
+
+def test_no_form_is_flown_in_place_of_the_way_home() -> None:
+    """A RETURN from rest that was held before it had its plan: RESUME leads home, and nothing else flies the path."""
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, PLACES, 20))
+    fleet.run(1.0)
+    for robot in fleet.robots:
+        assert fleet.core.request(CommandKind.ARM, fleet.fleet, fleet.now_ns, only=robot)[0] == ""
+    fleet.run(0.5)
+    assert ask(fleet, CommandKind.RETURN) == ""
+    fleet.run(0.1)
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(3.0)
+    assert "on their way back to the start" in ask(fleet, CommandKind.FORMATION, "column 0.8")
+    assert ask(fleet, CommandKind.RESUME) == ""
+    until(fleet, MissionState.DONE, 60.0)
+
+
+def test_another_path_in_place_of_the_way_home_is_a_flight_of_its_own() -> None:
+    """How it ends is what the session is judged by, not the flight before."""
+    fleet = SimulatedFleet(an_experiment("abort", TWO, PLACES, 20))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.DONE, 60.0)
+    assert fleet.mission.verdict is MissionState.DONE
+    assert ask(fleet, CommandKind.RETURN) == ""
+    until(fleet, MissionState.RETURNING, 20.0)
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(2.0)
+    text = dump_experiment(an_experiment("abort", TWO, PLACES.replace("0.6", "0.4"), 20))
+    assert ask(fleet, CommandKind.PATH, text) == ""
+    until(fleet, MissionState.RUNNING, 20.0)
+    fleet.robots[2].alive = False
+    until(fleet, MissionState.FAILED, 30.0)
+    assert fleet.mission.verdict is MissionState.FAILED
