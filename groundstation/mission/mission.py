@@ -160,7 +160,7 @@ class Mission:
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
         self._awaits_operator = False  # a person took a hand in it, or only a person can tell how to go on
-        self._form = ""  # that a FORMATION asked for and that is not flown yet
+        self._form = ""  # that a FORMATION asked for, and that the present segment does not have yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
         # How the last flight ended that was asked for by START, by a PATH in place of the way home, or by nobody in an
         # automatic mission, and how the way to it if nobody flew. None while it is under way, or before the first
@@ -804,6 +804,7 @@ class Mission:
         elif self.state is MissionState.HALTING:
             if isinstance(outcome, PlanSegment):
                 self.plans.adopt(outcome, request.flight if request is not None else None)
+                self._form = ""  # taken once more, a turn would be twice as far
                 self._go(MissionEvent.PLANNED, now_ns)
             else:
                 self._drop_disarmed(fleet)

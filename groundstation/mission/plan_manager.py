@@ -145,8 +145,11 @@ class PlanManager:
 
     @property
     def formation(self) -> tuple[PlanSegment, float]:
-        """Segment, and progress along it in s, at which the formation has its places: on the way home the path's beginning."""
-        return (self._first, self._first.centre.begin_s) if self.segment.is_return else (self.segment, self.progress_s)
+        """Segment, and progress along it in s, at which the formation has its places: on the way home the path's beginning, on
+        separate transfers their end."""
+        if self.segment.is_return:
+            return self._first, self._first.centre.begin_s
+        return self.segment, max(self.progress_s, self.segment.transfer_end_s)
 
     def _plan_return(self, fleet: Fleet, begin_s: float) -> PlanMaker:
         """Purpose of a plan from rest: back to the starts."""
@@ -224,7 +227,7 @@ class PlanManager:
 
     def _into_form(self, form: str) -> Callable[[Fleet, float], PlanMaker]:
         """Purpose of a plan from rest: into the slots of another form, and on along the present path."""
-        experiment, segment, progress_s = self.flown, self.segment, self.progress_s
+        experiment, (segment, progress_s) = self.flown, self.formation
 
         def plan(fleet: Fleet, begin_s: float) -> PlanMaker:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
