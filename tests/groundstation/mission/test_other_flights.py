@@ -323,6 +323,26 @@ def test_a_draft_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
     assert fleet.mission.state is MissionState.PAUSED and newest(fleet)[0] is Progress.DONE  # nobody was asked to fly it
 
 
+def test_the_way_into_place_after_a_hold_belongs_to_the_lap_that_is_flown_on() -> None:
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, LAPS, 100))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < 40.5:  # a lap has 20 s
+        fleet.step()
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(3.0)
+    before = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
+    assert ask(fleet, CommandKind.FORMATION, "column 1.2") == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s + 25.0:
+        fleet.step()
+    after = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
+    assert sorted(after) == [1, 2, 3, 4]
+    assert (after[1], after[2]) == (before[1], before[2]), "they were over"
+    assert after[4] == pytest.approx(25.0 - 1.5 - 19.4, abs=0.5), "and the next one begins 20 s of the path after the third"
+
+
 def test_each_run_has_laps_of_its_own() -> None:
     """A person disarms after a few seconds, loads another path, and starts again."""
     fleet = SimulatedFleet(load_experiment("pool"))
