@@ -253,19 +253,19 @@ def shifted(
 
 
 def _shifted_motion(base: NodeMotion, shift: SlotOffset, period_s: float) -> NodeMotion:
-    """A motion and a shift. Where the shift begins at 0 the heading begins as the motion's; a robot that has taken it before
-    begins in the heading in which it sets out."""
+    """A motion and a shift. Where the shift begins at 0 the heading begins as the motion's. A robot that stands still differs
+    from the motion's heading as when it moved last, or as when it sets out."""
     place, velocity = base.eta[:, :3] + shift.place_m, base.velocity[:, :3] + shift.rate_mps
     acceleration = base.acceleration[:, :3] + shift.bend_mps2
     if float(np.abs(shift.place_m).max()) < EXACT_M:
         return base
     yaw, rate = own_heading(velocity, acceleration, base.eta[:, 3], base.velocity[:, 3])
+    moves = np.hypot(*velocity[:, :2].T) > STANDSTILL_MPS
+    moving = np.maximum(np.maximum.accumulate(np.where(moves, np.arange(len(moves)), -1)), int(np.argmax(moves)))
+    yaw = np.unwrap(np.where(moves, yaw, base.eta[:, 3] + (yaw - base.eta[:, 3])[moving]))
     yaw += 2.0 * np.pi * round(float(base.eta[0, 3] - yaw[0]) / (2.0 * np.pi))
     if float(np.abs(shift.place_m[0]).max()) < EXACT_M:
         yaw[0], rate[0] = base.eta[0, 3], base.velocity[0, 3]  # exactly, without rounding
-    else:
-        sets_out = int(np.argmax(np.hypot(*velocity[:, :2].T) > STANDSTILL_MPS))
-        yaw[:sets_out], rate[:sets_out] = yaw[sets_out], 0.0
     return NodeMotion(
         np.column_stack([place, yaw]),
         np.column_stack([velocity, rate]),

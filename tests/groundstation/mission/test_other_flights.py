@@ -447,7 +447,7 @@ def test_a_formation_that_turns_takes_another_form_at_rest_and_from_a_hold(holds
         fleet.run(5.0)
         assert ask(fleet, CommandKind.HOLD) == ""
         fleet.run(2.0)
-    for form in ("column 1.0", "turn 30"):
+    for form in ("column 1.0", "turn 30", "order 3,1,2"):
         assert ask(fleet, CommandKind.FORMATION, form) == ""
         fleet.run(1.0)
         assert fleet.mission.reason == "" and not fleet.mission.plans.failure
