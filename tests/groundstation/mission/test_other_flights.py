@@ -492,7 +492,7 @@ def test_no_form_is_flown_in_place_of_the_way_home() -> None:
 
 
 def test_another_path_in_place_of_the_way_home_is_a_flight_of_its_own() -> None:
-    """How it ends is what the session is judged by, not the flight before."""
+    """The session is judged by its end, and not by that of the flight before."""
     fleet = SimulatedFleet(an_experiment("abort", TWO, PLACES, 20))
     fleet.run(1.0)
     assert ask(fleet, CommandKind.START) == ""
