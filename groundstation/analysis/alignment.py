@@ -227,8 +227,15 @@ def _chosen(flights: Sequence[Flight], choice: int | None) -> int:
 
 
 def _sent_home_ns(log: RunLog, flight: Flight) -> int | None:
-    """Instant in a flight at which the station first reported the return of the fleet."""
-    return next((beat.stamp_ns for beat in _beats(log, flight) if beat.message.mission == HOMEWARD), None)
+    """Instant in a flight at which the station first reported the return of the fleet. None if it flew another path after
+    that, which a person gave it from a hold on the way."""
+    sent_ns: int | None = None
+    for beat in _beats(log, flight):
+        if beat.message.mission == HOMEWARD:
+            sent_ns = beat.stamp_ns if sent_ns is None else sent_ns
+        elif beat.message.flight_s > 0.0:
+            sent_ns = None
+    return sent_ns
 
 
 def _planned_s(experiment: Experiment, beats: Sequence[StationHeartbeat]) -> float:

@@ -186,7 +186,7 @@ class Station:
         beat = StationHeartbeat(
             self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns,
             flight_s=0.0 if segment.is_return else segment.end_s,
-            other_path=self.mission.plans.flown is not self.experiment,
+            other_path=self.mission.plans.flown is not self.experiment or bool(segment.forms or segment.via),
             ready=self.mission.state in AT_REST and not self._unfit(),
             sightings=tuple(sightings),
             sightings_m=np.array(list(sightings.values())).reshape(-1, 2),

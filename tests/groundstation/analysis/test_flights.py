@@ -308,6 +308,21 @@ def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment
     assert result_of(experiment, beats(log, 2.0, MissionState.RUNNING.name)).passed
 
 
+@pytest.mark.parametrize("sent_s", [0.1, 2.0])
+def test_a_path_that_is_flown_in_place_of_the_way_home_is_the_flight(
+    flown: tuple[Experiment, RunLog, Path], sent_s: float
+) -> None:
+    """Sent home, held on the way, and given another path; also where the way home was all that had been asked for."""
+    experiment, log, _ = flown
+    key = (topics.HEARTBEAT.name, 0)
+    home, path = (beats(log, s, m).entries[key] for s, m in ((sent_s, HOMEWARD), (sent_s + 1.0, MissionState.RUNNING.name)))
+    given = [dataclasses.replace(e, message=dataclasses.replace(e.message, flight_s=experiment.duration_s)) for e in path]
+    heartbeats = [e for e in home if e.stamp_ns < given[0].stamp_ns] + given
+    series = align(experiment, dataclasses.replace(log, entries={**log.entries, key: heartbeats}))
+    assert not series.flights[0].home and series.sent_home_s is None
+    assert series.flown_s == pytest.approx(experiment.duration_s, abs=0.1)
+
+
 def test_a_fleet_that_is_sent_home_after_a_long_hold_has_not_flown_the_run(tmp_path: Path) -> None:
     """It holds at 4 s of 12 s for longer than the flight, and its clock goes on to 9 s on the way home."""
     script = Script(duration_s=30.0, clock=lambda since_s: min(since_s, 4.0) + min(max(since_s - 20.0, 0.0), 5.0))
