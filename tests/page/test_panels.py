@@ -406,8 +406,8 @@ def test_a_robot_that_does_not_know_where_it_is_shows_no_numbers(browser: Browse
                 name: facts[name].strip() for name in facts if name in ("error", "from its place", "depth", "yaw", "speed")
             }
 
-        known = shown_for(Estimate(eta=np.array([0.4, 0.2, 0.3, 1.0]), nu=np.array([0.1, 0.0, 0.0, 0.0])))
-        assert (known["depth"], known["yaw"], known["speed"]) == ("0.30 m", "57°", "0.100 m/s")
+        facts = shown_for(Estimate(eta=np.array([0.4, 0.2, 0.3, 1.0]), nu=np.array([0.1, 0.0, 0.0, 0.0])))
+        assert (facts["depth"], facts["yaw"], facts["speed"]) == ("0.30 m", "57°", "0.100 m/s")
         assert set(shown_for(None).values()) == {"-"}
         plotted = page.locator(".plot").first.locator(".u-series").filter(has_text="robot 1").locator(".u-value")
         assert plotted.inner_text() == "-"

@@ -80,7 +80,7 @@ def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> N
 
 
 def test_rules_that_need_thrust_are_not_left_out_by_a_person_who_is_not_ready(tmp_path: Path) -> None:
-    """Who answers no is not told that the board passed: without thrust it was not tried as was asked for."""
+    """After a no nothing says that the board passed: without thrust it was not tried as was asked for."""
     link = f"serial:{tmp_path}/plug"
     with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
         examined = CliRunner().invoke(sim_bridge, ["board-conformance", "--port", link], input="n\n")
