@@ -18,6 +18,7 @@ SOMETHING = {
     ("Client", "shown_ns"): "-1",
     ("Command", "time_to_live_s"): "1.0",
     ("Control", "solve"): "Solve.NONE",
+    ("ControlOutput", "flow_moment"): "NO_FLOW",
     ("Curve", "style"): "'-'",
     ("DeployRequest", "restart"): "True",
     ("DeployRequest", "ssh"): "('ssh',)",

@@ -20,7 +20,7 @@ from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredic
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Follow, Goal, Reference, ReferenceSampler
 from robot_agent.guidance.velocity_obstacles import GiveWay
-from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.dynamics import NO_FLOW, FlowMoment, Model
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
@@ -53,7 +53,7 @@ class ControlOutput(NamedTuple):
     tracking_error_m: float = 0.0  # distance from the goal's position
     is_free: bool = False  # the robot follows its path: neither giving way nor half-spaces change its plan
     path_is_blocked: bool = False  # it avoids what it would meet on its path too
-    flow_moment_nm: float = 0.0  # yaw moment of the water past the hull, (m_u - m_v) u v
+    flow_moment: FlowMoment = NO_FLOW
     avoids: bool = False  # something is in its way; False on the way back to its path
 
     @property
@@ -69,7 +69,7 @@ class ControlOutput(NamedTuple):
     @property
     def is_finite(self) -> bool:
         """True if all numbers that go to the wire are finite."""
-        numbers = self.tracking_error_m + self.flow_moment_nm + float(self.plan_eta.sum() + self.plan_reference.sum())
+        numbers = self.tracking_error_m + sum(self.flow_moment) + float(self.plan_eta.sum() + self.plan_reference.sum())
         return math.isfinite(numbers) and all(map(is_finite, (self.estimate, self.control)))
 
 

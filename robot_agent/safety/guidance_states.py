@@ -91,7 +91,7 @@ STATES: dict[Guidance, GuidanceState] = {
     ),
     Guidance.JOINING: GuidanceState(
         "the path", "TrajectoryClock.goal", f"{FORESEEN}; the error it began with and `safety.off_path_m`",
-        "twice the time of the way to the path, and two horizons", lambda s: s.join_s,
+        "twice the time of the way to the path, and two horizons; longer while it comes nearer", lambda s: s.join_s,
         "FAULT: not in time on its path",
     ),
     Guidance.ON_PATH: GuidanceState(

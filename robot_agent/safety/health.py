@@ -117,7 +117,7 @@ class HealthMonitor:
         depth_m = 0.0 if output.estimate is None else output.estimate.eta.item(2)
         path_depth_m = depth_m if output.control is None else output.control.eta_reference.item(2)
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
-        self._thrusters.note_flow(output.flow_moment_nm)
+        self._thrusters.note_flow(output.flow_moment)
         self._output = output
 
     @property

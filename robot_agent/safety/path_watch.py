@@ -106,6 +106,7 @@ class PathWatch:
         self.finding = NO_FINDING  # stays until the next reset
         self._foreseen: deque[_Foreseen] = deque()
         self._moments: deque[_Moment] = deque()
+        self._way: deque[tuple[int, float]] = deque()  # instants and distances from the reference
         self._surprised_s = 0.0  # for which the robot has not been where its plans said
         self._growing_s = 0.0  # for which it has been farther off than its way back explains
         self._stayed_s, self._lasted_s = 0.0, 0.0  # in states off the path, and in the present state
@@ -242,10 +243,11 @@ class PathWatch:
         spare_mps = max(self._fastest_mps - path_mps - current_mps, SLOWEST * self._fastest_mps)
         self._join_s = max(self._join_s, 2.0 * self._entry_m / spare_mps + 2.0 * horizon_s)
         is_away = off_m > ARRIVED * self._limit_m
+        nears = self._nears(step, horizon_s)
         if self._stayed_s > STATES[self.state].longest_s(StayLimits(self._join_s)) and is_away:
             if self.state in AWAY:
                 return WatchFinding("gives way for too long", f"{self._stayed_s:.0f} s")
-            if self.state is Guidance.JOINING:
+            if self.state is Guidance.JOINING and not nears:
                 return WatchFinding("not in time on its path", f"not on it after {self._stayed_s:.0f} s{self._because}")
         if self.state in (Guidance.JOINING, Guidance.GIVING_WAY, Guidance.RETURNING) and not self._avoids:
             most_m = self._entry_m + self._limit_m + horizon_s * (path_mps + current_mps)
@@ -254,6 +256,14 @@ class PathWatch:
                 grown = f"off it by {off_m:.2f} m, {self._entry_m:.2f} m when it set out"
                 return WatchFinding("not in time on its path", grown + self._because)
         return NO_FINDING
+
+    def _nears(self, step: _Step, span_s: float) -> bool:
+        """True if in the last `span_s` the robot has come nearer as quickly as one that can just join its path."""
+        self._way.append((step.now_ns, step.off_m))
+        while len(self._way) > 2 and self._way[1][0] <= step.now_ns - span_s * NS:
+            self._way.popleft()
+        begin_ns, far_m = self._way[0]
+        return far_m - step.off_m > SLOWEST * self._fastest_mps * (step.now_ns - begin_ns) / NS
 
     @property
     def _because(self) -> str:

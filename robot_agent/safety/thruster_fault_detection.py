@@ -13,6 +13,9 @@ about all legs alike. A leg that gives less thrust than commanded, none, or the 
 residual. likelihood_ratio.py tests at each look whether that is chance, and two looks have to agree; disturbances of the
 water do not follow one leg's pulses.
 
+The moment of the water past a hull that is no sphere, (m_u - m_v) u v, is known as well as the observer knows u and v: as a
+flight begins, with an unknown current, hardly.
+
 A thruster with almost no command, or one stuck at its present command, cannot be seen: neither moves the robot. The limits are
 measured on flights of the article's robot with masses and thrusters off by 30 %, in waves and gusts
 (tests/robot_agent/safety/test_thruster_fault_detection.py).
@@ -25,6 +28,7 @@ import numpy as np
 
 from robot_agent.safety.likelihood_ratio import SPANS_S, LikelihoodRatioTest
 from robot_agent.safety.sent_commands import NS, ActingLegs
+from robot_agent.vehicle.dynamics import NO_FLOW, FlowMoment
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
@@ -40,6 +44,7 @@ SAME_S = 2.0 * SMOOTH_S  # residuals closer together say the same,
 NOTED_S = 0.09  # and not every one is looked at
 SHARE = 0.02  # of each leg's moment: curves are no straight lines, and legs that push against one another each have theirs
 UNEVEN_S = 0.005  # steps begin, and pulses leave, a little earlier or later
+FLOW_LASTS = math.sqrt(SPANS_S[-1] / SAME_S)  # an error of the water's velocity lasts: a whole span of it counts once
 MISSING = (0.6, 2.0)  # of what a leg is told: most of it, up to twice, which is reversed
 SURE = 8.0  # evidence: e^8 to one,
 SURE_AGAIN = 2  # looks that have to be sure one after the other: a hull that pitches back from full thrust gave 9 at one
@@ -119,7 +124,7 @@ class ThrusterFaultDetector:
 
     def reset(self) -> None:
         """Start anew: thrusters at rest, nothing learned."""
-        self._flow_nm = 0.0  # moment of the water past the hull
+        self._flow = NO_FLOW
         self.broken = False  # stays so until the next reset
         self._moments = ActingLegs(KEPT, self._vehicle)
         self._rate: float | None = None  # r^
@@ -142,9 +147,9 @@ class ThrusterFaultDetector:
         ankle's angle (thrusters,). Of two at one instant the last counts."""
         self._moments.note(level_nm, ankles_rad, now_ns)
 
-    def note_flow(self, moment_nm: float) -> None:
+    def note_flow(self, flow: FlowMoment) -> None:
         """Take note of the moment by which the water past the hull turns it."""
-        self._flow_nm = moment_nm
+        self._flow = flow
 
     def note_voltage(self, voltage_v: float, at_ns: int) -> None:
         """Take note of the battery's voltage, however raw, with its instant. 0: not known.
@@ -172,13 +177,18 @@ class ThrusterFaultDetector:
             self._begin(yaw_rate_radps, at_ns, board_ns)
         elif elapsed_ns and not self._leaves_out(yaw_rate_radps - self._rate, board_ns):
             impulse, turn = self._moments.impulse(self._at_ns, at_ns), YawRates(self._rate, self._measured, yaw_rate_radps)
-            self._rate, residual = observe_turn(impulse, elapsed_ns / NS, self._causes, turn, self._yaw, self._flow_nm)
+            flow_nm = self._flow.expected_nm
+            self._rate, residual = observe_turn(impulse, elapsed_ns / NS, self._causes, turn, self._yaw, flow_nm)
             self._measured, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
             self._unnoted_s += elapsed_ns / NS
             if self._unnoted_s > NOTED_S:
                 moments = self._causes[: self._thrusters]
                 rising = (moments - self._noted_nm) / self._unnoted_s
-                rough = math.hypot(SHARE * float(np.abs(moments).sum()), UNEVEN_S * float(np.abs(rising).sum()))
+                rough = math.hypot(
+                    SHARE * float(np.abs(moments).sum()),
+                    UNEVEN_S * float(np.abs(rising).sum()),
+                    FLOW_LASTS * self._flow.deviation_nm,
+                )
                 self._noted_nm = moments.copy()
                 self._test.note_sample(self._causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0

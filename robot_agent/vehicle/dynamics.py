@@ -148,10 +148,21 @@ def drag(model: Table, u: float, v: float) -> Pair:
     return along * u / model[0, 0], aside * v / model[0, 1]
 
 
-def flow_moment_nm(model: Array, velocity: Array) -> float:
-    """Munk moment of a model (3, 4) at a velocity (4,) through the water, N m."""
+class FlowMoment(NamedTuple):
+    """Yaw moment of the water past the hull, (m_u - m_v) u v (Munk), and its standard deviation."""
+
+    expected_nm: float
+    deviation_nm: float
+
+
+NO_FLOW = FlowMoment(0.0, 0.0)
+
+
+def flow_moment(model: Array, velocity: Array, deviation_mps: float) -> FlowMoment:
+    """Flow moment of a model (3, 4) at a velocity (4,) through the water that is known to within `deviation_mps`."""
     u, v = velocity[:2].tolist()
-    return float((model.item(0) - model.item(1)) * u * v)
+    difference_kg = model.item(0) - model.item(1)
+    return FlowMoment(difference_kg * u * v, abs(difference_kg) * deviation_mps * math.hypot(u, v, deviation_mps))
 
 
 def loop_delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:

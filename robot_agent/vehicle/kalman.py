@@ -100,7 +100,7 @@ ALIKE = 0.8  # and their correlation: a larger hull has more of both
 # With 0.4, 0.4 and 0.5 NEES is 1 to 3 where the file is wrong by half, instead of 3 to 20; but a current is taken for a
 # stronger one, and guidance is softer: 24 mm instead of 9 (mixed, 0).
 MOST_FORCE = 2.0  # times the thrusters' largest acceleration: against more no robot holds its place, whatever its mass is
-MOST_LOG = 1.0  # of drag, thrust, moment, yaw drag per mass: e times the vehicle file's
+MOST_LOG = 1.4  # of drag, thrust, moment, yaw drag per mass: mass off by +100 % and drag by -50 % are 4 times the file's
 AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
 HAND_S = 0.1  # for so long a hand that holds a robot pushes one way, with up to the thrusters' force
 GATE_S = 0.24  # no yaw rate changes by more than the thrusters' moment does in 0.2 s, and a fifth

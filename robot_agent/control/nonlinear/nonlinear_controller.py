@@ -37,7 +37,7 @@ from robot_agent.control.nonlinear.upright_thrust import UprightThrust
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle, is_inside
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, interpolate, is_other_goal
-from robot_agent.vehicle.dynamics import flow_moment_nm, loop_delay_s
+from robot_agent.vehicle.dynamics import flow_moment, loop_delay_s
 from robot_agent.vehicle.estimate import Observation, StateMeasurement
 from shoal.config.controller import ControllerConfig
 from shoal.frames import Array
@@ -260,6 +260,8 @@ class NonlinearController(Controller):
         self._priority = Priority(self._urgent, error_m)
         command = lead.eta[0].copy()
         command[3] = self._course.yaw[0]
+        deviations = estimate.deviations
+        assert deviations is not None  # the configuration allows no observer without
         return ControlOutput(
             pulse_us=pulses,
             observation=estimate,
@@ -279,7 +281,7 @@ class NonlinearController(Controller):
             tracking_error_m=error_m,
             is_free=lead is reference and not iteration.binds,
             path_is_blocked=self._give_way.path_is_blocked,
-            flow_moment_nm=flow_moment_nm(self._model.coefficients, estimate.through_water),
+            flow_moment=flow_moment(self._model.coefficients, estimate.through_water, deviations.velocity_mps),
             avoids=self._give_way.avoids or iteration.binds,
         )
 

@@ -48,6 +48,7 @@ FREE = [
     ("start-current-0.8", 1, 8.0), ("start-model+100", 0, 8.0), ("model-50", 0, 6.0), ("model-50", 1, 6.0),
     ("start-model-50", 4, 7.0), ("start-model-50", 16, 9.0), ("mixed", 3, 7.0),
     ("mixed", 4, 4.0), ("mixed", 22, 5.0),  # hulls that swim near the speed at which the water pitches them over
+    ("mixed", 26, 30.0),  # comes nearer by 5 cm a second, against a current that the observer takes for weaker
     pytest.param("current-0.8", 0, 30.0, marks=SLOW), pytest.param("waves", 1, 30.0, marks=SLOW),
     pytest.param("gusts", 0, 30.0, marks=SLOW), pytest.param("mixed", 0, 30.0, marks=SLOW),
 ]  # fmt: skip

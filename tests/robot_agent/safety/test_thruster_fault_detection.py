@@ -10,7 +10,9 @@ from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from shoal.config.experiment import load_experiment
 from shoal.frames import Array
 from shoal.messages.messages import Mode
+from tests.flights.cells import draw
 from tests.flights.scene_flights import flew, rough_water
+from tests.flights.vehicles import VEHICLES
 
 pytestmark = pytest.mark.long
 
@@ -78,6 +80,18 @@ def test_battery_that_falls_at_once_is_no_broken_thruster_and_one_that_breaks_th
     assert flagged((), 12.0, sag, "figure-eight") == {}
     instants_s = flagged((), 16.0, [*sag, "t=14 thruster 2/3 dead"])
     assert list(instants_s) == [2] and instants_s[2] > 14.0
+
+
+@pytest.mark.parametrize("number", [5, 16, 17])
+def test_water_past_a_long_hull_is_no_broken_thruster(number: int) -> None:
+    """It turns such a hull with up to 0.4 N m, and as a flight begins nobody knows how it streams."""
+    assert flagged((*draw("vehicle-vectored", number).settings, "duration_s=10"), 10.0, name="straight") == {}
+
+
+@pytest.mark.parametrize(("name", "what"), [("pool", "2/4 dead"), ("figure-eight", "2/1 dead"), ("pool", "2/2 reversed")])
+def test_a_broken_thruster_of_a_long_hull_is_found(name: str, what: str) -> None:
+    instants_s = flagged(VEHICLES["vectored"].settings(), 15.0 + WITHIN_S, [f"t=15 thruster {what}"], name)
+    assert list(instants_s) == [2] and instants_s[2] > 15.0
 
 
 @pytest.mark.slow
