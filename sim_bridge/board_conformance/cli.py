@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 HEARD_WITHIN_S = 5.0
 STRANGERS = 9  # peers without a key; more than the board has places for
-CAREFUL = "Thrusters will turn slowly, each way; on a board that is wrong, perhaps fast. Is nobody's hand near them?"
+CAREFUL = "Thrusters will turn slowly, each way; on a board that is wrong, perhaps fast. Are all hands away from them?"
 
 
 class LinkWire:
@@ -89,7 +89,7 @@ def board_conformance(
     from sim_bridge.board_conformance.runner import RuleVerdict, examine
 
     if not dry and not yes and not typer.confirm(CAREFUL, err=True):
-        dry = True
+        raise ConfigError("nothing was tried (allowed: with all hands away; --dry tries every rule that needs no thrust)")
     signing = Signing.of(key, "conformance") if key is not None else None
     address = port if port.startswith(("udp:", "serial:")) else f"serial:{port}"
     link = open_link(address, secured=signing is not None or insecure, option="--port")
