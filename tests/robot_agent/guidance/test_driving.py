@@ -21,12 +21,12 @@ def plan_ahead(speed_mps: float) -> Plan:
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 0.2, 0.5])
-@pytest.mark.parametrize("seen", [False, True])
-def test_a_driven_robot_stops_short_of_a_silent_robot_whose_plan_has_ended(speed_mps: float, seen: bool) -> None:
+@pytest.mark.parametrize("is_seen", [False, True])
+def test_a_driven_robot_stops_short_of_a_silent_robot_whose_plan_has_ended(speed_mps: float, is_seen: bool) -> None:
     """It rests at its plan's end, or where the camera sees it."""
     plan, place, ended_s = plan_ahead(speed_mps), 1.4 + 0.0j, PLAN_PERIOD_S * ROWS
-    silent = Neighbour(2, 0, rest_of_plan(plan, ended_s, place) if seen else plan, fresh=False)
-    rests_m = place.real if seen else float(plan.eta[-1, 0])
+    silent = Neighbour(2, 0, rest_of_plan(plan, ended_s, place) if is_seen else plan, fresh=False)
+    rests_m = place.real if is_seen else float(plan.eta[-1, 0])
     nodes_s = 0.3 * np.arange(1, 20, dtype=np.float64)
     driver, formation = driving.Driver(WATER), Formation(WATER.safety, nodes_s, (1.0, 1.0, 1.0, 1.0), has_leader=False)
     eta, now_ns = np.array([0.0, 0.0, 0.3, 0.0]), round(2.0 * ended_s * NS)
