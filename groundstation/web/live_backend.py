@@ -181,7 +181,7 @@ class LiveBackend:
         return None if newest is None else ShownPicture(newest.header.stamp_ns, self._age(newest).age_ms, newest.message.jpeg)
 
     def notes(self) -> list[dict[str, Any]]:
-        """Events since the last call, in order: lines of the log."""
+        """Events since the last call, in the order in which they were written: lines of the log."""
         notes = []
         while self._events and not self._clocks_settle():
             at_ns, header, payload = self._events.popleft()
@@ -190,7 +190,7 @@ class LiveBackend:
             except DecodeError:
                 continue
             notes.append(event_note(event, self._event_ns(at_ns, header)))
-        return notes
+        return sorted(notes, key=lambda note: float(note["time_s"]))  # several programs give what they have kept at once
 
     def _clocks_settle(self) -> bool:
         """True just after the start, when lines of an earlier run may come before the state that shows their robot's clock."""

@@ -255,7 +255,7 @@ def test_a_depth_zero_is_taken_of_the_pressure_that_is_measured_when_a_person_as
 
 
 def test_no_zero_is_taken_or_confirmed_in_hil_mode_nor_after_it(library: ctypes.CDLL) -> None:
-    """What a person sees there is the depth of the simulated water."""
+    """The depth by which a person would judge it is that of the simulated water."""
     boards, client = BothBoards(library), ParameterClient(1)
     boards.say(client.set("HIL_MODE", 1.0))
     for answers, order in enumerate((boards.link.calibrate(pressure=True), boards.link.calibrate()), start=1):

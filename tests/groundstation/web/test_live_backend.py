@@ -75,3 +75,20 @@ def test_a_line_of_an_earlier_run_is_shown_at_its_own_time(
     old, new = (clock.now_ns() * 1e-9 - note["time_s"] for note in notes)
     assert abs(old - 3600.0) < 10.0
     assert 0.0 <= new < 10.0
+
+
+def test_lines_that_several_programs_have_kept_come_in_the_order_of_their_times() -> None:
+    hub, experiment, clock = MemoryHub(), load_experiment("pool"), WallClock()
+    bus, now_ns = Bus(MemoryTransport(hub)), clock.now_ns()
+    station = FakeStation(experiment, bus, clock=clock)
+    backend = LiveBackend(experiment, {}, bus, station.inboxes, clock, station, "real-time")
+    for robot, ages_s in ((1, (40, 20)), (2, (30, 10))):
+        agent = Bus(MemoryTransport(hub))
+        for age_s in ages_s:
+            agent.publish(topics.EVENT, Event(2, f"agent-{robot}", f"{age_s} s ago"), now_ns - age_s * S)
+        agent.publish(topics.STATE, RobotState(), now_ns, robot)
+    deadline, notes = time.monotonic() + 10.0, list[dict[str, Any]]()
+    while len(notes) < 4 and time.monotonic() < deadline:
+        notes += backend.notes()
+        time.sleep(0.02)
+    assert [note["text"] for note in notes] == ["40 s ago", "30 s ago", "20 s ago", "10 s ago"]
