@@ -173,12 +173,15 @@ def test_a_silent_robot_that_the_camera_sees_counts_though_no_plan_of_it_ever_ca
         return real(measurement, goal, neighbours, at_ns, obstacles)
 
     monkeypatch.setattr(agent.controller, "step", step)
-    seen, touching_m = {2: -1.5 - 0.5j, 1: 0j}, 2.0 * POOL.safety.radius_m  # and this robot itself, whose plans are not heard
+    sightings, touching_m = (
+        {2: -1.5 - 0.5j, 1: 0j},
+        2.0 * POOL.safety.radius_m,
+    )  # and this robot itself, whose plans are not heard
     for k, (_, fresh, at_ns) in enumerate(itertools.islice(steps, 60)):
-        station = replace(fresh.station, sightings=seen if k < 40 else {}, out=(2,) if k >= 50 else ())
+        station = replace(fresh.station, sightings=sightings if k < 40 else {}, out=(2,) if k >= 50 else ())
         state = agent.step(replace(fresh, plans={}, station=station), at_ns).state
     assert agent.mode is Mode.TRACKING and state.heard == ()
-    assert places == [seen[2]] * 50, "until a person says that it is out of the water"
+    assert places == [sightings[2]] * 50, "until a person says that it is out of the water"
     assert depths[:40] == [pytest.approx(inputs.board.depth_m)] * 40, "how deep it is nobody knows: it is in the way"
     grown_m = 10 * POOL.controller.period_s * POOL.safety.bubble_mps
     assert keeps_m[0] == pytest.approx(touching_m) and keeps_m[-1] == pytest.approx(touching_m + grown_m)

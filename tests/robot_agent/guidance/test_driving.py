@@ -21,12 +21,12 @@ def plan_ahead(speed_mps: float) -> Plan:
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 0.2, 0.5])
-@pytest.mark.parametrize("seen", [False, True])
-def test_a_driven_robot_stops_short_of_a_silent_robot_whose_plan_has_ended(speed_mps: float, seen: bool) -> None:
+@pytest.mark.parametrize("is_seen", [False, True])
+def test_a_driven_robot_stops_short_of_a_silent_robot_whose_plan_has_ended(speed_mps: float, is_seen: bool) -> None:
     """It rests at its plan's end, or where the camera sees it."""
     plan, place, ended_s = plan_ahead(speed_mps), 1.4 + 0.0j, PLAN_PERIOD_S * ROWS
-    silent = Neighbour(2, 0, rest_of_plan(plan, ended_s, place) if seen else plan, fresh=False)
-    rests_m = place.real if seen else float(plan.eta[-1, 0])
+    silent = Neighbour(2, 0, rest_of_plan(plan, ended_s, place) if is_seen else plan, fresh=False)
+    rests_m = place.real if is_seen else float(plan.eta[-1, 0])
     nodes_s = 0.3 * np.arange(1, 20, dtype=np.float64)
     driver, formation = driving.Driver(WATER), Formation(WATER.safety, nodes_s, (1.0, 1.0, 1.0, 1.0), has_leader=False)
     eta, now_ns = np.array([0.0, 0.0, 0.3, 0.0]), round(2.0 * ended_s * NS)
@@ -65,12 +65,12 @@ def test_a_driven_robot_rises_until_its_hull_touches_the_surface() -> None:
 def test_a_driven_robot_whose_thrust_goes_into_surge_and_turn_keeps_to_its_depth(heave_mps: float) -> None:
     """Its depth's reference waits for it, and the robot goes more slowly until it has come there."""
     driver, eta, limit_m = driving.Driver(WATER), np.array([0.0, 0.0, 1.0, 0.0]), WATER.safety.off_depth_m
-    asked = DriveVelocity(0.2, heave_mps, 1.0)
+    velocity = DriveVelocity(0.2, heave_mps, 1.0)
     for _ in range(round(3.0 / WATER.controller.period_s)):
-        goal = driver.goal(asked, 0.5, eta, ())
+        goal = driver.goal(velocity, 0.5, eta, ())
     assert 0.0 < abs(goal.eta[2] - eta[2]) < 0.6 * limit_m
     eta[2] -= np.copysign(0.25 * limit_m, heave_mps)  # the water carries it farther off
-    slower = driver.goal(asked, 0.5, eta, ())
-    assert 0.0 < slower.surge_mps < 0.8 * asked.surge_mps and 0.0 < slower.yaw_rate_radps < 0.8 * asked.yaw_rate_radps
+    slower = driver.goal(velocity, 0.5, eta, ())
+    assert 0.0 < slower.surge_mps < 0.8 * velocity.surge_mps and 0.0 < slower.yaw_rate_radps < 0.8 * velocity.yaw_rate_radps
     assert slower.heave_mps == pytest.approx(heave_mps)
-    assert driver.goal(asked, 0.5, eta, (), heave_mps).surge_mps == asked.surge_mps  # it goes there
+    assert driver.goal(velocity, 0.5, eta, (), heave_mps).surge_mps == velocity.surge_mps  # it goes there

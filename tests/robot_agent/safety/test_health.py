@@ -147,8 +147,8 @@ def test_a_driven_robot_is_off_its_depth_if_it_does_not_follow(reference_mps: fl
         eta = np.array([0.0, 0.0, depth_m, 0.0])
         estimate = Estimate(eta=eta, nu=np.array([0.0, 0.0, (depth_m - before_m) / 0.05, 0.0]))
         control = Control(eta_reference=np.array([0.0, 0.0, 0.5 + risen_m(at_s, reference_mps), 0.0]))
-        seen = observation(0.0)._replace(estimate=estimate)
-        output = OUTPUT._replace(observation=seen, control=control)
+        result = observation(0.0)._replace(estimate=estimate)
+        output = OUTPUT._replace(observation=result, control=control)
         monitor.note_output(output, Mode.DRIVEN, NOW_NS + round(at_s * 1000.0) * MS)
     assert monitor.health(WELL, False, NOW_NS).off_depth is is_off
 
