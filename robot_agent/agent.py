@@ -307,10 +307,10 @@ class Agent:
                 self._hold = Hold(observation.eta)
             return self._hold
         if self._driven is not None and self._estimate is not None:
-            (velocity, given_ns), eta = self._driven, self._estimate.eta
+            (velocity, given_ns), estimate = self._driven, self._estimate
             lasts_s = DRIVE_LASTS_S - (now_ns - given_ns) * 1e-9
             around = driving.bodies(neighbours, obstacles, self.controller.formation, now_ns)
-            return self._driver.goal(velocity, lasts_s, eta, around)
+            return self._driver.goal(velocity, lasts_s, estimate.eta, around, estimate.nu.item(2))
         return None
 
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:

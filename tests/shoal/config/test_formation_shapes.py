@@ -23,6 +23,6 @@ def test_nodes_are_the_same_without_the_processors_fused_arithmetic(shape: Shape
     older = {**os.environ, "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-AVX"}
     words = [sys.executable, "-c", NODES, shape, str(LARGEST_ROBOT)]
     here = [shape_nodes(shape, count, 0.8).tolist() for count in range(1, LARGEST_ROBOT + 1)]
-    output = subprocess.run(words, env=older, capture_output=True, text=True, check=True).stdout
-    assert output.strip() == json.dumps(here)
-    assert "-0.0," not in output and "-0.0]" not in output, "nor has nothing a sign, which would be another text"
+    text = subprocess.run(words, env=older, capture_output=True, text=True, check=True).stdout
+    assert text.strip() == json.dumps(here)
+    assert "-0.0," not in text and "-0.0]" not in text, "nor has nothing a sign, which would be another text"
