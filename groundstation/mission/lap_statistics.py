@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from shoal.messages.messages import RobotState
 
+EXACT_S = 1e-3  # between two beginnings of a lap that are the same, but for rounding
 KEPT = 12  # rows, the newest: as many as the page shows
 BACK_S = 5.0  # after a hold a robot goes on a little further back, with the slowest; further back than this is another run
 
@@ -25,6 +26,10 @@ class FlownLaps:
         none."""
         flown_s = max(clock_s, self.goes_on_s) - self.path_s
         return max(math.floor(flown_s / self.lap_s), 0) + 1 if self.lap_s else 0
+
+    def begins_at(self, clock_s: float) -> bool:
+        """True if a lap begins at this instant of the clock."""
+        return self.number(clock_s + EXACT_S) != self.number(clock_s - EXACT_S)
 
     def next_s(self, clock_s: float) -> float:
         """Beginning of the next lap of a path that has some."""

@@ -343,6 +343,37 @@ def test_the_way_into_place_after_a_hold_belongs_to_the_lap_that_is_flown_on() -
     assert after[4] == pytest.approx(25.0 - 1.5 - 19.4, abs=0.5), "and the next one begins 20 s of the path after the third"
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_gains_for_the_next_lap_are_not_taken_on_the_way_into_place(moves: bool) -> None:
+    """A plan from a hold moves the lap; a hold that robots go on from does not."""
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, LAPS, 100))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < 45.0:  # a lap has 20 s
+        fleet.step()
+    before = {robot: body.tuning_id for robot, body in fleet.robots.items()}
+    _, number = fleet.core.request_gains({"controller.nmpc.turning_m": 0.02}, True, fleet.fleet, fleet.now_ns)
+    fleet.run(2.0)
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(3.0)
+    assert (ask(fleet, CommandKind.FORMATION, "column 1.2") if moves else ask(fleet, CommandKind.RESUME)) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < 59.5:
+        fleet.step()
+    assert {robot: body.tuning_id for robot, body in fleet.robots.items()} == before
+    fleet.run(3.0)
+    outcome = fleet.core.requests.outcome(number)
+    assert outcome is not None
+    if moves:
+        assert {robot: body.tuning_id for robot, body in fleet.robots.items()} == before
+        assert (outcome.progress, outcome.reason) == (
+            Progress.FAILED, "a new plan has moved the lap: nothing was changed",
+        )  # fmt: skip
+    else:
+        assert outcome.progress is Progress.DONE
+
+
 def test_each_run_has_laps_of_its_own() -> None:
     """A person disarms after a few seconds, loads another path, and starts again."""
     fleet = SimulatedFleet(load_experiment("pool"))
