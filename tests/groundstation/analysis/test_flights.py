@@ -231,7 +231,7 @@ def test_a_flight_has_no_cause_in_the_next_one(flown: tuple[Experiment, RunLog, 
     assert result.cause.injected == ""
 
 
-def test_what_was_broken_before_the_flight_counts_only_if_it_still_was(flown: tuple[Experiment, RunLog, Path]) -> None:
+def test_a_fault_injected_before_the_flight_counts_only_if_it_was_not_over(flown: tuple[Experiment, RunLog, Path]) -> None:
     """In an earlier flight of the session. What was not over when this one began is named, with a time before its start."""
     experiment, log, _ = flown
     lines = ((-9.0, "fault: battery 1 sag 2"), (-8.0, "fault: thruster 1/2 dead"), (-7.0, "fault over: battery 1 sag 2"))
