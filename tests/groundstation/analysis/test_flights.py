@@ -231,7 +231,7 @@ def test_a_flight_has_no_cause_in_the_next_one(flown: tuple[Experiment, RunLog, 
     assert result.cause.injected == ""
 
 
-def test_damage_of_before_the_flight_counts_only_while_it_lasts(flown: tuple[Experiment, RunLog, Path]) -> None:
+def test_a_fault_injected_before_the_flight_counts_only_if_it_was_not_over(flown: tuple[Experiment, RunLog, Path]) -> None:
     """In an earlier flight of the session. What was not over when this one began is named, with a time before its start."""
     experiment, log, _ = flown
     lines = ((-9.0, "fault: battery 1 sag 2"), (-8.0, "fault: thruster 1/2 dead"), (-7.0, "fault over: battery 1 sag 2"))
@@ -306,21 +306,6 @@ def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment
     assert not result.passed
     assert "sent home after 2.0 s of 6 s" in result.notes[0]
     assert result_of(experiment, beats(log, 2.0, MissionState.RUNNING.name)).passed
-
-
-@pytest.mark.parametrize("sent_s", [0.1, 2.0])
-def test_a_path_that_is_flown_in_place_of_the_way_home_is_the_flight(
-    flown: tuple[Experiment, RunLog, Path], sent_s: float
-) -> None:
-    """Sent home, held on the way, and given another path; also where the way home was all that had been asked for."""
-    experiment, log, _ = flown
-    key = (topics.HEARTBEAT.name, 0)
-    home, path = (beats(log, s, m).entries[key] for s, m in ((sent_s, HOMEWARD), (sent_s + 1.0, MissionState.RUNNING.name)))
-    given = [dataclasses.replace(e, message=dataclasses.replace(e.message, flight_s=experiment.duration_s)) for e in path]
-    heartbeats = [e for e in home if e.stamp_ns < given[0].stamp_ns] + given
-    series = align(experiment, dataclasses.replace(log, entries={**log.entries, key: heartbeats}))
-    assert not series.flights[0].home and series.sent_home_s is None
-    assert series.flown_s == pytest.approx(experiment.duration_s, abs=0.1)
 
 
 def test_a_fleet_that_is_sent_home_after_a_long_hold_has_not_flown_the_run(tmp_path: Path) -> None:
