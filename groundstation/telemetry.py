@@ -249,9 +249,9 @@ def _pose_senders(experiment: Experiment, view: RobotView, state: RobotState) ->
         yield Problem("poses", "critical", "two programs publish its poses by turns", remedy, blocks_arming=True)
 
 
-def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
-    """The first of these robots whose poses may be another robot's or camera's, with the reason and the remedy; empty if there
-    is none."""
+def foreign_poses_reason(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
+    """Reason for which the poses of one of these robots, the first such, may be another robot's or camera's, with the remedy;
+    empty if there is none."""
     for robot in robots:
         view = fleet[robot]
         problem = None if view.state is None else next(_pose_senders(experiment, view, view.state), None)
@@ -271,9 +271,9 @@ def silent_sightings(experiment: Experiment, fleet: Fleet) -> dict[int, tuple[fl
     }  # fmt: skip
 
 
-def blind_robots(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
-    """Those of these robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are
-    none, or if they may fly all the same (mission.blind)."""
+def blind_robots_reason(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
+    """Text with those of these robots that cannot know whether obstacles are there, and the reason of the first; empty if
+    there are none, or if they may fly all the same (mission.blind)."""
     reasons = {r: state.blind for r in robots if (state := fleet[r].state) is not None and state.blind}
     if not reasons or experiment.mission.blind != "hold":
         return ""

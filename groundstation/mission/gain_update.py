@@ -88,7 +88,7 @@ class GainUpdater:
         sets, self._unlogged = self._unlogged, []
         return sets
 
-    # --- requests of the operator; each returns the reason of a refusal, or nothing
+    # --- requests of the operator
 
     def request(
         self,
@@ -98,8 +98,9 @@ class GainUpdater:
         flying: Mapping[int, RobotState],
         next_lap_of: FlownLaps | None = None,
     ) -> str:
-        """Change these gains (key: value), keep the others: at once, or with the next lap of a path. `fleet`: the robots of
-        the formation; `flying`: states of those that fly its trajectories."""
+        """Change the gains in `values` (key -> value) and keep the others: at once, or with the next lap of the path
+        `next_lap_of`. `fleet`: the robots of the formation; `flying`: states of those that fly its trajectories. Returns the
+        reason of a refusal, or ""."""
         if self._is_busy:
             return f"another change is under way: {self._stage.value}"
         try:
@@ -114,7 +115,8 @@ class GainUpdater:
         return reason or self._begin(config, fleet, now_ns, start_s)
 
     def undo(self, fleet: Fleet, now_ns: int) -> str:
-        """Go back to the set before; cancel a change that still waits for its lap."""
+        """Go back to the set before, or cancel a change that still waits for its lap. Returns the reason of a refusal, or
+        ""."""
         if self._stage is GainStage.WAITING:
             return self._begin(self._config, fleet, now_ns)
         if self._is_busy:

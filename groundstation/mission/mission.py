@@ -48,9 +48,9 @@ from groundstation.telemetry import (
     OUT_OF_STEP_S,
     Fleet,
     RobotView,
-    blind_robots,
+    blind_robots_reason,
     first_lost_robot,
-    foreign_poses,
+    foreign_poses_reason,
     preflight,
 )
 from shoal.config.experiment import Experiment
@@ -211,7 +211,7 @@ class Mission:
         self._prepare(order, context)
         self._go(order, now_ns)
         if at_rest:
-            flown = context.other_flight if order is CommandKind.PATH else None
+            flown = context.read_other_flight() if order is CommandKind.PATH else None
             self.plans.request_at_rest(fleet, flown, text)
         if order is CommandKind.DISARM and before in TERMINAL | {MissionState.ENDING}:
             self.reason = why
@@ -248,7 +248,7 @@ class Mission:
         elif order is CommandKind.FORMATION and self.state is MissionState.PAUSED:
             self.plans.target_form(context.text)
         elif order is CommandKind.PATH:
-            self.plans.target_flight(context.other_flight)
+            self.plans.target_flight(context.read_other_flight())
             if self._run.homeward:  # a flight of its own, in place of the way home
                 self._run.homeward, self.verdict = False, None
         if order in (CommandKind.RETURN, CommandKind.REJOIN, *OTHER_FLIGHTS):
@@ -269,7 +269,7 @@ class Mission:
         if self.state is MissionState.PAUSED and self._would_have_gap:
             roster = copy(roster)
             roster.reassign_slots(*self.plans.formation, fleet)
-        other = context.other_flight if order is CommandKind.PATH else None
+        other = context.read_other_flight() if order is CommandKind.PATH else None
         make = self.plans.of_roster(roster).draft(text, other, fleet, now_ns, self.state)
 
         def by_robot(out_of_time: OutOfTime) -> PlanSegment:
@@ -333,22 +333,23 @@ class Mission:
         """Note that robots may be armed from now on, each until it loses its power again."""
         self._asked_ns, self._powered_ns = now_ns, {}
 
-    def _begin_run(self) -> None:
-        self._run, self.began_ns = _RunData(), 0
+    def _begin_run(self, homeward: bool = False) -> None:
+        """Begin a run with all robots. A `homeward` one belongs to the flight before it, as in the report: it keeps that
+        flight's beginning."""
+        self._run = _RunData(homeward=homeward)
+        self.began_ns = self.began_ns if homeward else 0
         self.plans.reset()
         self.governor.start()
 
     def _prepare_return(self, fleet: Fleet) -> None:
         """Aim all robots that can fly at the places where they started. Those that cannot are lost."""
         if self.state in AT_REST:
-            began_ns = self.began_ns
-            self._begin_run()
-            self._run.homeward, self.began_ns = True, began_ns  # the way home belongs to the flight before, as in the report
+            self._begin_run(homeward=True)
         self._run.gap = self._run.gap or self.roster.closed  # home they fly each to its own start, and may then fly on
         for robot in self.roster.active:
-            why = unfit_to_return(self._context(fleet), robot)
-            if why:
-                self.roster.mark_lost(robot, why)
+            unfit_reason = unfit_to_return(self._context(fleet), robot)
+            if unfit_reason:
+                self.roster.mark_lost(robot, unfit_reason)
         self.plans.target_return()
 
     # --- the cycle
@@ -359,6 +360,13 @@ class Mission:
         """Do one cycle; returns the commands to send now. `obstacles` None: as in the cycle before."""
         elapsed_s = (now_ns - self.cycle_ns) * 1e-9 if self.cycle_ns else 0.0
         self.cycle_ns = now_ns
+        self._take_in(fleet, results, now_ns, obstacles)
+        self._check(fleet, now_ns)
+        self._set_pace(fleet, elapsed_s, now_ns)
+        return self._commands(fleet, now_ns) + self._command_others(fleet, now_ns)
+
+    def _take_in(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int, obstacles: ObstacleSet | None) -> None:
+        """Note the replies to commands, the robots' power, obstacles and departures."""
         own_results = [result for result in results if result.command.robot in self.roster.all_robots]
         left_out = self.roster.all_robots if self.state in AT_REST else self.roster.lost  # silence of theirs stops nothing
         counted = [r for r in own_results if not (r.reply.silent and r.command.robot in left_out)]
@@ -368,6 +376,10 @@ class Mission:
             self.reason = refused
         self.plans.monitor.update(obstacles, now_ns)
         self.departures.note_fleet(fleet, now_ns)
+
+    def _check(self, fleet: Fleet, now_ns: int) -> None:
+        """Go where events lead that no person asked for: no progress, preflight passed, losses, another timetable, foreign
+        poses, events in flight. Each check sees the state that the one before it has left."""
         if self._give_up_s is not None and self.state in UNDER_WAY:
             self._check_progress(self._give_up_s, now_ns)
         if self.state is MissionState.WAITING:
@@ -375,15 +387,15 @@ class Mission:
         if self.state in COMMITTED:
             self._handle_losses(fleet, now_ns)
         if self.state in IN_FLIGHT | JOINING:
-            self._check_in_step(fleet, now_ns)
-        if self.state in IN_FLIGHT | JOINING and (foreign := foreign_poses(self._experiment, fleet, self.roster.active)):
-            self._go(MissionEvent.FOREIGN_POSES, now_ns)
-            self.reason = foreign
+            self._check_timetable(fleet, now_ns)
+        if self.state in IN_FLIGHT | JOINING:
+            foreign = foreign_poses_reason(self._experiment, fleet, self.roster.active)
+            if foreign:
+                self._go(MissionEvent.FOREIGN_POSES, now_ns)
+                self.reason = foreign
         holds_its_progress = self.state is MissionState.PAUSED and not self._awaits_return
         if (self.state in IN_FLIGHT or holds_its_progress) and self.roster.active:
             self._check_flight(fleet, now_ns)
-        self._govern(fleet, elapsed_s, now_ns)
-        return self._commands(fleet, now_ns) + self._command_others(fleet, now_ns)
 
     def _commands(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """The commands of this cycle, by the mission's state."""
@@ -457,7 +469,7 @@ class Mission:
         """Progress of a robot along the formation's trajectories in s; None while it is on another."""
         return self.roster.plans(robot, self.segment, self.plans.next).clock_s(view.state)
 
-    def _check_in_step(self, fleet: Fleet, now_ns: int) -> None:
+    def _check_timetable(self, fleet: Fleet, now_ns: int) -> None:
         """Hold the fleet when, for OUT_FOR_S, a robot flies another plan or by another timetable than the others."""
         out = ""
         for robot in self.roster.active:
@@ -511,7 +523,7 @@ class Mission:
         ):  # earlier, the mode may be of the state before
             state = fleet[holding[0]].state
             return MissionEvent.ROBOT_HOLDING, f"robot {holding[0]} holds: {state.fault if state else ''}"
-        if blind := blind_robots(self._experiment, fleet, active):
+        if blind := blind_robots_reason(self._experiment, fleet, active):
             return MissionEvent.BLIND, blind
         if self.state is MissionState.RUNNING and segment.is_return:
             return MissionEvent.RETURN_STARTED, ""
@@ -534,7 +546,7 @@ class Mission:
     def _may_not_fly(self, fleet: Fleet) -> str:
         """Reason for which no robot may begin to fly now, whatever it is armed for; empty if there is none."""
         robots = self.roster.active
-        return foreign_poses(self._experiment, fleet, robots) or blind_robots(self._experiment, fleet, robots)
+        return foreign_poses_reason(self._experiment, fleet, robots) or blind_robots_reason(self._experiment, fleet, robots)
 
     def _handle_losses(self, fleet: Fleet, now_ns: int) -> None:
         """Apply the experiment's policy (mission.lost) to a robot that is lost. A plan from rest that counts on it is made
@@ -600,7 +612,8 @@ class Mission:
             self.plans.target_slots()
         self._go(MissionEvent.LOST_CLOSE_UP, now_ns)
 
-    def _govern(self, fleet: Fleet, elapsed_s: float, now_ns: int) -> None:
+    def _set_pace(self, fleet: Fleet, elapsed_s: float, now_ns: int) -> None:
+        """Set the pace by the largest error of the robots that fly."""
         flies = self.state in IN_FLIGHT and self._timetable is not None and now_ns >= self._timetable.start_ns
         worst_m = max((fleet[r].error_m for r in self.roster.active), default=0.0)
         self.governor.step(worst_m if flies else None, elapsed_s)

@@ -13,10 +13,10 @@ from groundstation.planning.shift import common_path
 from groundstation.telemetry import (
     Fleet,
     RobotView,
-    blind_robots,
+    blind_robots_reason,
     blocking_findings,
     first_lost_robot,
-    foreign_poses,
+    foreign_poses_reason,
     preflight,
 )
 from shoal.config.experiment import Experiment, with_flight
@@ -46,9 +46,12 @@ class RequestContext:
     transfer: bool = False  # robots fly separate transfers now
     homeward: bool = False  # they are to return to the start, and have no plan for it yet
 
-    @cached_property
-    def other_flight(self) -> Experiment:
+    def read_other_flight(self) -> Experiment:
         """The session's experiment with the flight that a PATH asks for; read once. Raises ConfigError."""
+        return self._other_flight
+
+    @cached_property
+    def _other_flight(self) -> Experiment:
         return with_flight(self.experiment, self.text)
 
 
@@ -136,12 +139,12 @@ def _none_armed(context: RequestContext) -> str:
 
 
 def _foreign_poses(context: RequestContext) -> str:
-    return foreign_poses(context.experiment, context.fleet, context.roster.active)
+    return foreign_poses_reason(context.experiment, context.fleet, context.roster.active)
 
 
 def _blind(context: RequestContext) -> str:
     """Robots that hold would be sent off for a moment, and hold again. At rest the preflight looks."""
-    return "" if context.state in AT_REST else blind_robots(context.experiment, context.fleet, context.roster.active)
+    return "" if context.state in AT_REST else blind_robots_reason(context.experiment, context.fleet, context.roster.active)
 
 
 def _returns(context: RequestContext) -> str:
@@ -178,8 +181,9 @@ def _no_form(context: RequestContext) -> str:
 
 
 def _no_flight(context: RequestContext) -> str:
+    """The reason why the flight that a PATH asks for cannot be read, or ""."""
     try:
-        context.other_flight  # noqa: B018  # reads the text
+        context.read_other_flight()
     except ConfigError as error:
         return str(error)
     return ""

@@ -34,14 +34,18 @@ PlanMaker = Callable[[OutOfTime], PlanSegment]
 
 @dataclass(eq=False)
 class FlownPath:
-    """A path with its formation, as an experiment gives it."""
+    """A path with its formation, as an experiment gives it or as `make` plans it."""
 
     experiment: Experiment
     segment: PlanSegment | None = None  # from the path's beginning, without the ways into the places; None: not planned yet
+    make: PlanMaker | None = None  # of the segment; None: the experiment's own
 
     def plan(self, out_of_time: OutOfTime = never) -> PlanSegment:
-        """Segment from the path's beginning. Raises PlanError."""
-        self.segment = first_segment(self.experiment, out_of_time) if self.segment is None else self.segment
+        """Segment from the path's beginning, planned once. Raises PlanError."""
+        if self.segment is None and self.make is not None:
+            self.segment = self.make(out_of_time)
+        elif self.segment is None:
+            self.segment = first_segment(self.experiment, out_of_time)
         return self.segment
 
 
@@ -256,25 +260,33 @@ class PlanManager:
 
         return plan
 
-    def request_at_rest(self, fleet: Fleet, flown: Experiment | None, form: str) -> None:
-        """Request what the next start flies, from where the robots rest: another experiment's path, or the present one in
-        another form."""
-        make, flight = self._from_rest(fleet, flown, form)
+    def request_at_rest(self, fleet: Fleet, other: Experiment | None, form: str) -> None:
+        """Request what the next start flies, from where the robots rest: the path of an `other` experiment, or the present
+        one in another `form`."""
+        make, flight = self._from_rest(fleet, other, form)
         self.failure, self.request = "", PlanRequest("at rest", make, flight)
 
-    def _from_rest(self, fleet: Fleet, flown: Experiment | None, form: str) -> tuple[PlanMaker, FlownPath]:
-        """Function that plans what the next start flies, and the path that it begins."""
-        flight = FlownPath(self.flown) if flown is None else FlownPath(flown)
+    def _from_rest(self, fleet: Fleet, other: Experiment | None, form: str) -> tuple[PlanMaker, FlownPath]:
+        """Function that plans what the next start flies, from where the robots rest, and the path that it begins: that of an
+        `other` experiment, or the present one in another `form`."""
+        flight = self._present_in_form(form) if other is None else FlownPath(other)
         rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
-        obstacles, present = self.discs_to_avoid(fleet), self._flight
+        obstacles = self.discs_to_avoid(fleet)
 
         def make(out_of_time: OutOfTime) -> PlanSegment:
-            if flown is None:
-                flight.segment = in_form(flight.experiment, present.plan(out_of_time), 0.0, read_form(form, 0.0)[0])
             planned = flight.plan(out_of_time)
             return plan_regroup(flight.experiment, planned, 0.0, 0.0, rests, slots, obstacles, out_of_time)
 
         return make, flight
+
+    def _present_in_form(self, form: str) -> FlownPath:
+        """The present path from its beginning in another form. It is planned when it is needed: that takes time."""
+        experiment, present = self.flown, self._flight
+
+        def make(out_of_time: OutOfTime) -> PlanSegment:
+            return in_form(experiment, present.plan(out_of_time), 0.0, read_form(form, 0.0)[0])
+
+        return FlownPath(experiment, make=make)
 
     # --- obstacles
 

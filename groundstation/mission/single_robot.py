@@ -22,7 +22,7 @@ from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import Fleet, RobotView, blind_robots, foreign_poses, preflight
+from groundstation.telemetry import Fleet, RobotView, blind_robots_reason, foreign_poses_reason, preflight
 from shoal.config.experiment import Experiment
 from shoal.messages.messages import Command, CommandKind, DriveVelocity, Mode, Progress, Trajectory
 
@@ -200,8 +200,8 @@ class SingleRobotControl:
 
     def _may_not_move(self, order: CommandKind, robot: int, fleet: Fleet) -> str:
         """Reason why a robot may not do such a request as it sees now; empty if it may. Who drives it looks at the water."""
-        foreign = foreign_poses(self._experiment, fleet, (robot,)) if order in LED else ""
-        return foreign or (blind_robots(self._experiment, fleet, (robot,)) if order is CommandKind.GO else "")
+        foreign = foreign_poses_reason(self._experiment, fleet, (robot,)) if order in LED else ""
+        return foreign or (blind_robots_reason(self._experiment, fleet, (robot,)) if order is CommandKind.GO else "")
 
     def _out_refusal(self, order: CommandKind, robot: int, view: RobotView) -> str:
         """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
@@ -359,7 +359,7 @@ class SingleRobotControl:
         assert task.place_m is not None
         away_m = float(np.hypot(*(fleet[robot].eta[:2] - task.place_m)))
         far = f"robot {robot} holds {away_m:.2f} m from there" if away_m > self._experiment.safety.off_path_m else ""
-        return foreign_poses(self._experiment, fleet, (robot,)) or far
+        return foreign_poses_reason(self._experiment, fleet, (robot,)) or far
 
     def _plan(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet) -> None:
         """Request a way to the task's place, clear of islands, obstacles and of where the other robots are now."""

@@ -108,14 +108,14 @@ class StationCore:
             self.by_hand = order is not CommandKind.START
         return reason, 0 if reason else self.requests.begin(order, self.mission)
 
-    def come_to_rest(self, fleet: Fleet, now_ns: int) -> bool:
-        """Hold every robot that moves, also one that is led alone, before the station ends. Returns False once no robot that
-        is heard moves."""
+    def bring_to_rest(self, fleet: Fleet, now_ns: int) -> bool:
+        """Hold every robot that moves, also one that is led alone, before the station ends. Returns True once every robot
+        that is heard rests."""
         self.mission.roster.take_back()
         if self.mission.state in states_allowing(CommandKind.HOLD) - {MissionState.PAUSED}:
             self.request(CommandKind.HOLD, fleet, now_ns)
-        moving = [view for view in fleet.values() if view.heard and view.mode in LIVE - {Mode.ARMED}]
-        return any(view.mode in MOVING or view.speed_mps > AT_REST_MPS for view in moving)
+        powered = [view for view in fleet.values() if view.heard and view.mode in LIVE - {Mode.ARMED}]
+        return not any(view.mode in MOVING or view.speed_mps > AT_REST_MPS for view in powered)
 
     def leave(self, fleet: Fleet, now_ns: int) -> None:
         """Disarm every robot: the station is about to leave, and no person has asked for it."""

@@ -225,7 +225,7 @@ class _Leaving:
             if station.has_power():
                 log.warning("told to end while robots have power: they hold, and are disarmed when they rest")
         rests = not station.has_power() and station.mission.state in UNARMED  # else it may be arming robots
-        if not self._disarms and (not station.come_to_rest() or now_s > self._until_s):
+        if not self._disarms and (station.bring_to_rest() or now_s > self._until_s):
             self._disarms, self._until_s = True, now_s + DISARM_WITHIN_S
             if not rests:
                 station.disarm()

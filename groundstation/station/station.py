@@ -381,10 +381,10 @@ class Station:
         with self._turn(valid) as reason:
             return reason or self.core.drive(robot, velocity, self.fleet(), self.clock.now_ns())
 
-    def come_to_rest(self) -> bool:
-        """Hold every robot that moves: the station is about to leave. Returns False once none that is heard moves."""
+    def bring_to_rest(self) -> bool:
+        """Hold every robot that moves: the station is about to leave. Returns True once every robot that is heard rests."""
         with self.lock:
-            return self.core.come_to_rest(self.fleet(), self.clock.now_ns())
+            return self.core.bring_to_rest(self.fleet(), self.clock.now_ns())
 
     def disarm(self) -> None:
         """Disarm every robot: the station is about to leave. No person has asked for it, so no request is logged."""

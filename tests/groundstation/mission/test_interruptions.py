@@ -376,7 +376,7 @@ class Interruptions(RuleBasedStateMachine):
         """A station that ends leaves no robot armed."""
         pool = self.pool
         for _ in range(100):
-            if not pool.core.come_to_rest(pool.fleet, pool.now_ns):
+            if pool.core.bring_to_rest(pool.fleet, pool.now_ns):
                 break
             pool.step()
         self.ask("terminal", CommandKind.END, 0)
