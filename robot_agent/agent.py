@@ -342,7 +342,7 @@ class Agent:
         outlines = obstacles_from_message(watched.obstacles, watched.instant_ns, safety.radius_m)
         if self._estimate is not None:
             x, y, _, _ = self._estimate.eta.tolist()
-            outlines = self._own_hull.exclude(outlines, complex(x, y), now_ns)
+            outlines = self._own_hull.remove_own_hull(outlines, complex(x, y), now_ns)
         return tuple(
             grown_with_age(obstacle, safety, now_ns) if is_old(obstacle.age_s(now_ns)) else obstacle for obstacle in outlines
         )

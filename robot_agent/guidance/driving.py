@@ -67,39 +67,39 @@ class Driver:
         ]
         self._period_s = experiment.controller.period_s
         self._depth_lead_m = 0.5 * experiment.safety.off_depth_m
-        self._eta: Array | None = None
+        self._reference: Array | None = None  # pose (4,) of the last step's reference
 
     def reset(self) -> None:
         """Begin anew at the robot's own place."""
-        self._eta = None
+        self._reference = None
 
     def goal(
         self, velocity: DriveVelocity, lasts_s: float, eta: Array, around: Sequence[Body], heave_mps: float = 0.0
     ) -> Drive:
         """Return the goal of one step: `velocity` within limits and slowed, from a reference near the estimate `eta` (4,) of a
-        robot that goes down with `heave_mps`."""
+        robot that goes down with `heave_mps`. Complex numbers are x + iy in the pool; `ahead` is the heading's unit vector."""
         limits, ahead = self._limits, complex(math.cos(eta[3]), math.sin(eta[3]))
         surge, heave = _within(velocity.surge_mps, limits.speed_mps), _within(velocity.heave_mps, limits.heave_mps)
         turn = _within(velocity.yaw_rate_radps, limits.yaw_rate_radps)
         x_m, y_m, depth_m, yaw_rad = eta.tolist()
-        led_x_m, led_y_m, led_depth_m, led_yaw_rad = (eta if self._eta is None else self._eta).tolist()
+        last_x_m, last_y_m, last_depth_m, last_yaw_rad = (eta if self._reference is None else self._reference).tolist()
         # There is no side thruster: sideways the reference goes with the robot.
-        led_m = _within((ahead.conjugate() * complex(led_x_m - x_m, led_y_m - y_m)).real, LEAD_M)
-        place = complex(x_m, y_m) + led_m * ahead
-        depth_m += _within(led_depth_m - depth_m, LEAD_M)
-        yaw_rad += _within(wrap(led_yaw_rad - yaw_rad), LEAD_RAD)
+        lead_m = _within((ahead.conjugate() * complex(last_x_m - x_m, last_y_m - y_m)).real, LEAD_M)
+        place = complex(x_m, y_m) + lead_m * ahead
+        depth_m += _within(last_depth_m - depth_m, LEAD_M)
+        yaw_rad += _within(wrap(last_yaw_rad - yaw_rad), LEAD_RAD)
         # Surge and turn can take all of the thrust: off its depth a robot goes without them, and its reference waits
         off_m = off_depth_m(depth_m, eta.item(2), heave_mps)
-        rest = min(max(2.0 - abs(off_m) / self._depth_lead_m, 0.0), 1.0)
-        surge, turn = rest * surge, rest * turn
+        thrust_share = min(max(2.0 - abs(off_m) / self._depth_lead_m, 0.0), 1.0)
+        surge, turn = thrust_share * surge, thrust_share * turn
         for body in (*around, *self._islands):
             surge, heave = _slowed(surge, heave, ahead, place, depth_m, body)
         surge, heave = self._inside(surge, heave, ahead, place, depth_m)
         place += self._period_s * surge * ahead
         if math.copysign(1.0, heave) * off_m < self._depth_lead_m:
             depth_m += self._period_s * heave
-        self._eta = np.array([place.real, place.imag, depth_m, yaw_rad + self._period_s * turn])
-        return Drive(self._eta, surge, heave, turn, lasts_s)
+        self._reference = np.array([place.real, place.imag, depth_m, yaw_rad + self._period_s * turn])
+        return Drive(self._reference, surge, heave, turn, lasts_s)
 
     def _inside(self, surge: float, heave: float, ahead: complex, place: complex, depth_m: float) -> tuple[float, float]:
         """Surge and heave that end before the walls and the floor, and where the hull touches the surface: no thrust lifts it

@@ -60,9 +60,9 @@ class OwnHullFilter:
         self._hull_m = hull_m
         self._others: frozenset[int] = frozenset()  # ids of obstacles that have been clear of the hull
 
-    def exclude(self, obstacles: Sequence[Obstacle], place: complex, now_ns: int) -> tuple[Obstacle, ...]:
-        """Return the obstacles without the robot's own hull at `place`, x + iy in the pool frame, and remember their ids: an
-        obstacle returned once is another body from then on."""
+    def remove_own_hull(self, obstacles: Sequence[Obstacle], place: complex, now_ns: int) -> tuple[Obstacle, ...]:
+        """Return the obstacles without the robot's own hull at `place`, x + iy in the pool frame. Call it with every message:
+        an obstacle returned once is another body from then on, for as long as it is seen."""
         others = tuple(o for o in obstacles if o.id in self._others or not self._is_hull(o, place, now_ns))
         self._others = frozenset(obstacle.id for obstacle in others)
         return others

@@ -83,17 +83,19 @@ class _Step(NamedTuple):
 
 
 class PathWatch:
-    """Watch over one robot. Without `plan_period_s`, the period of its plans, it foresees nothing: only leaving the path and
-    the guidance state are told."""
+    """Watch over one robot."""
 
     def __init__(self, experiment: Experiment, plan_period_s: float = 0.0) -> None:
+        """`plan_period_s`: time between two rows of the robot's plans. 0 for a law that makes no plans: then only the guidance
+        state and the deviation from the path are watched."""
         vehicle, self._limit_m = experiment.vehicle, experiment.safety.off_path_m
-        self._look_rows = LOOK_S / plan_period_s if plan_period_s else 0.0  # of a plan, in LOOK_S; 0: foresees nothing
+        self._look_rows = LOOK_S / plan_period_s if plan_period_s else 0.0  # LOOK_S in rows of a plan; 0: no plans
         self._thrust_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
         self._thrust_n, self._fastest_mps = vehicle.limits.wrench[0], vehicle.limits.speed_mps
         self._plan_period_s = plan_period_s
         self._deviation = PathDeviationMonitor(self._limit_m)
-        self._turn_round_s = 0.5 * horizon_s(vehicle)  # so long after the last thing in the way it still gives way
+        # Time without anything in the way after which the robot no longer gives way
+        self._clear_for_s = 0.5 * horizon_s(vehicle)
         self.response = ThrustResponse(vehicle)
         # The response is known of hulls that slide aside when they turn, and have thrust along one axis only
         self._knows_response = experiment.controller.estimator.sway and not vehicle.limits.has_sway
@@ -106,7 +108,7 @@ class PathWatch:
         self.finding = NO_FINDING  # stays until the next reset
         self._foreseen: deque[_Foreseen] = deque()
         self._moments: deque[_Moment] = deque()
-        self._way: deque[tuple[int, float]] = deque()  # instants and distances from the reference
+        self._approach: deque[tuple[int, float]] = deque()  # (instant ns, distance from the reference m) of the last steps
         self._surprised_s = 0.0  # for which the robot has not been where its plans said
         self._growing_s = 0.0  # for which it has been farther off than its way back explains
         self._stayed_s, self._lasted_s = 0.0, 0.0  # in states off the path, and in the present state
@@ -127,17 +129,17 @@ class PathWatch:
         elapsed_s = 0.0 if self._at_ns is None else (now_ns - self._at_ns) / NS
         self._at_ns = now_ns
         observation, control = output.observation, output.control
-        place = path = led = 0j
+        place = reference = place_soon = 0j  # x + iy in the pool; place_soon: FOLLOWS_S from now
         if observation is not None:
-            place = path = complex(observation.eta[0], observation.eta[1])
-            led = place + cmath.rect(FOLLOWS_S, observation.eta.item(3)) * complex(observation.nu[0], observation.nu[1])
+            place = reference = complex(observation.eta[0], observation.eta[1])
+            place_soon = place + cmath.rect(FOLLOWS_S, observation.eta.item(3)) * complex(observation.nu[0], observation.nu[1])
         if control is not None:
-            path = complex(control.eta_reference[0], control.eta_reference[1])
+            reference = complex(control.eta_reference[0], control.eta_reference[1])
         if mode is not Mode.DRIVEN:
-            self._deviation.step(place, path, output.is_free, output.path_is_blocked, now_ns)
-        elif not self._look_rows:  # the reference leads: what counts is where the robot would be by then
-            self._deviation.step(led, path, output.is_free, output.path_is_blocked, now_ns)
-        off_m = abs(place - path)
+            self._deviation.step(place, reference, output.is_free, output.path_is_blocked, now_ns)
+        elif not self._look_rows:  # the reference is ahead: compare it with the place that the robot comes to
+            self._deviation.step(place_soon, reference, output.is_free, output.path_is_blocked, now_ns)
+        off_m = abs(place - reference)
         self._change_state(output, mode, off_m, elapsed_s)
         if observation is not None and observation.leap:
             self.response.reset()
@@ -154,7 +156,7 @@ class PathWatch:
         self._clear_s = 0.0 if in_way else self._clear_s + elapsed_s
         self._stayed_s += elapsed_s
         self._lasted_s += elapsed_s
-        gives_way = self._avoids or (before is Guidance.GIVING_WAY and self._clear_s < self._turn_round_s)
+        gives_way = self._avoids or (before is Guidance.GIVING_WAY and self._clear_s < self._clear_for_s)
         facts = GuidanceFacts(mode, gives_way, self._deviation.is_on_path, self._lasted_s >= STEADY_S)
         self.state = next_state(before, facts)
         if self.state is not before:
@@ -243,11 +245,11 @@ class PathWatch:
         spare_mps = max(self._fastest_mps - path_mps - current_mps, SLOWEST * self._fastest_mps)
         self._join_s = max(self._join_s, 2.0 * self._entry_m / spare_mps + 2.0 * horizon_s)
         is_away = off_m > ARRIVED * self._limit_m
-        nears = self._nears(step, horizon_s)
+        approaches = self._approaches(step, horizon_s)
         if self._stayed_s > STATES[self.state].longest_s(StayLimits(self._join_s)) and is_away:
             if self.state in AWAY:
                 return WatchFinding("gives way for too long", f"{self._stayed_s:.0f} s")
-            if self.state is Guidance.JOINING and not nears:
+            if self.state is Guidance.JOINING and not approaches:
                 return WatchFinding("not in time on its path", f"not on it after {self._stayed_s:.0f} s{self._because}")
         if self.state in (Guidance.JOINING, Guidance.GIVING_WAY, Guidance.RETURNING) and not self._avoids:
             most_m = self._entry_m + self._limit_m + horizon_s * (path_mps + current_mps)
@@ -257,13 +259,14 @@ class PathWatch:
                 return WatchFinding("not in time on its path", grown + self._because)
         return NO_FINDING
 
-    def _nears(self, step: _Step, span_s: float) -> bool:
-        """True if in the last `span_s` the robot has come nearer as quickly as one that can just join its path."""
-        self._way.append((step.now_ns, step.off_m))
-        while len(self._way) > 2 and self._way[1][0] <= step.now_ns - span_s * NS:
-            self._way.popleft()
-        begin_ns, far_m = self._way[0]
-        return far_m - step.off_m > SLOWEST * self._fastest_mps * (step.now_ns - begin_ns) / NS
+    def _approaches(self, step: _Step, span_s: float) -> bool:
+        """True if the robot's distance from its reference has fallen by more than SLOWEST of its speed limit, on average over
+        the last `span_s`: slower than that, no path can be joined. Call it once a step."""
+        self._approach.append((step.now_ns, step.off_m))
+        while len(self._approach) > 2 and self._approach[1][0] <= step.now_ns - span_s * NS:
+            self._approach.popleft()
+        begin_ns, first_off_m = self._approach[0]
+        return first_off_m - step.off_m > SLOWEST * self._fastest_mps * (step.now_ns - begin_ns) / NS
 
     @property
     def _because(self) -> str:

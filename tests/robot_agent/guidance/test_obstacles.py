@@ -70,7 +70,7 @@ def test_an_obstacle_that_drifts_against_the_hull_stays_one() -> None:
     for k, ball_x in enumerate((0.5, 0.3, 0.1, 0.0, 0.1, 0.5)):
         outlines = np.array([square + np.array([ball_x, 0.0]), square])
         obstacles = obstacles_from_message(Obstacles((7, 8), outlines, np.zeros((2, 2)), unseen_s=np.zeros(2)), k, 0.3)
-        looks.append([obstacle.id for obstacle in own_hull.exclude(obstacles, 0j, k)])
+        looks.append([obstacle.id for obstacle in own_hull.remove_own_hull(obstacles, 0j, k)])
     assert looks == [[7]] * 6
 
 
@@ -82,4 +82,4 @@ def test_an_obstacle_that_went_away_is_judged_anew() -> None:
         )
         for x in (0.5, 0.0)
     )
-    assert [len(own_hull.exclude(obstacles, 0j, 0)) for obstacles in (beside, on_top, (), on_top)] == [1, 1, 0, 0]
+    assert [len(own_hull.remove_own_hull(obstacles, 0j, 0)) for obstacles in (beside, on_top, (), on_top)] == [1, 1, 0, 0]
