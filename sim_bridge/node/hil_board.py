@@ -44,26 +44,31 @@ class HilBoard:
     def __init__(
         self, experiment: Experiment, robot_id: int, seed: int, where: str, link: Link, signing: Signing | None
     ) -> None:
-        """`where` is the text of its address, for messages. The `link` is the caller's to close."""
+        """`where`: the board's address, for texts. `link` is open, and the caller closes it. `signing` None: frames are not
+        signed."""
         key, now = (None, lambda: 0) if signing is None else (signing.key, signing.stamps)
         self.sensors = BoardSensors(experiment, robot_id, seed)
         thruster, self._where, self._robot_id = experiment.vehicle.thruster, where, robot_id
         self._load = DemandedLoad(thruster, experiment.vehicle.thruster_count)
         self._link, self._signing = link, signing
-        self._judge = BoardLink(robot_id, SignatureVerifier(key))  # frames are judged as the board does
+        self._judge = BoardLink(robot_id, SignatureVerifier(key))  # checks an agent's frames as the board does
         self._board = SimulatorLink(robot_id, key, now)
-        self._burst_ns = round(1e9 / experiment.sim.sensors.rate_hz)
-        self._rest_us, self._thrusters = experiment.vehicle.neutral_us, experiment.vehicle.thruster_count
-        self._begin_ns = self._mode_ns = 0  # of the first step; of the last at which the mode was known
+        self._burst_ns = round(1e9 / experiment.sim.sensors.rate_hz)  # between two measurements
+        self._neutral_us, self._thruster_count = experiment.vehicle.neutral_us, experiment.vehicle.thruster_count
+        self._begin_ns = 0  # instant of the first step
+        self._mode_ns = 0  # last instant at which the board's mode was known
         self._last_step_ns: int | None = None
+        # Instant of the order that this step's outputs obey; None if they have not changed, or obey none
         self.obeys_ns: int | None = None
-        self._orders: deque[tuple[int, tuple[int, ...]]] = deque(maxlen=ORDERS_KEPT)  # passed on when; pulses, each other ones
-        self._shown_us, self._follows = self._rest_us, True  # the last echo; it is what an order says
+        # (instant of passing it on, pulses in us) of each order whose pulses differ from those of the order before it
+        self._orders: deque[tuple[int, tuple[int, ...]]] = deque(maxlen=ORDERS_KEPT)
+        self._last_echo_us = self._neutral_us
+        self._echo_was_ordered = True  # the last echo shows the pulses of an order
 
     @property
     def pulses(self) -> tuple[int, ...]:
         """Pulses of the board's outputs, us: 4 thrusters, 4 ankles."""
-        return self._board.echo_us or self._rest_us
+        return self._board.echo_us or self._neutral_us
 
     @property
     def armed(self) -> bool:
@@ -73,7 +78,7 @@ class HilBoard:
     @property
     def neutral(self) -> bool:
         """True if all thrusters stand still."""
-        return self.pulses[: self._thrusters] == self._rest_us[: self._thrusters]
+        return self.pulses[: self._thruster_count] == self._neutral_us[: self._thruster_count]
 
     def receive(self, data: bytes, now_ns: int) -> bool:
         """Pass an agent's frames on to the board, if it is in HIL mode. Returns True if one of them is one that the board
@@ -127,15 +132,15 @@ class HilBoard:
     def _note_outputs(self) -> None:
         """Note which order new outputs obey: the echo comes up to two periods of the board after it. Outputs that have still
         to slew obey none yet, nor do those at which they end: when that began is not known."""
-        self.obeys_ns, followed = None, self._follows
-        if self.pulses == self._shown_us:
+        self.obeys_ns, last_was_ordered = None, self._echo_was_ordered
+        if self.pulses == self._last_echo_us:
             return
-        self._shown_us = self.pulses
+        self._last_echo_us = self.pulses
         ordered_ns = [
             ns for ns, order in self._orders if all(o in (p, IGNORED) for o, p in zip(order, self.pulses, strict=True))
         ]
-        self._follows = bool(ordered_ns)
-        self.obeys_ns = ordered_ns[-1] if ordered_ns and followed else None
+        self._echo_was_ordered = bool(ordered_ns)
+        self.obeys_ns = ordered_ns[-1] if ordered_ns and last_was_ordered else None
 
     def _renew(self, signing: Signing) -> None:
         """Keep the times of signatures. A full disk is no reason to stop, as on a robot: only a restart would come too early

@@ -259,9 +259,11 @@ class PoolNode:
         self._await_everyone(world)
         steps, period_ns = self._experiment.plant_steps, round(self._experiment.controller.period_s * 1e9)
         step_ns = period_ns // steps
-        # A tick is at a step of the plant: boards would report from after it. At 0 no board has said a word.
-        latency_steps = math.ceil(round(self._experiment.sim.latency_s * 1e9) / step_ns)
-        tick_ns, previous_ns = latency_steps * step_ns or period_ns, -1
+        # The first tick comes when the frame of time 0 is old enough. It falls on a step of the plant: boards report at those,
+        # and between two of them would report from after the tick. It is never at 0, when no board has reported yet.
+        first_tick_steps = math.ceil(round(self._experiment.sim.latency_s * 1e9) / step_ns)
+        tick_ns = first_tick_steps * step_ns or period_ns
+        previous_ns = -1
         self._expose_in_lockstep(world, tick_ns, previous_ns)
         due_s = 0.0
         while not self._stop.requested:
