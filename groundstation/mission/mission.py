@@ -400,7 +400,7 @@ class Mission:
     def _commands(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """The commands of this cycle, by the mission's state."""
         if self.state in STAGES:
-            return self._drive(STAGES[self.state], fleet, now_ns)
+            return self._run_stage(STAGES[self.state], fleet, now_ns)
         if self.state is MissionState.SWITCHING:
             return self._switch(fleet, now_ns)
         if self.state is MissionState.HALTING:
@@ -620,41 +620,53 @@ class Mission:
 
     # --- stages
 
-    def _drive(self, stage: CommandStage, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+    def _run_stage(self, stage: CommandStage, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Send a stage's command until all have confirmed it; then go on."""
         waiting = [r for r in self._addressed(fleet) if not self._has_confirmed(r, stage, fleet, now_ns)]
         if not waiting:
-            if self.state is not self._last_state:
-                if self.state in BEFORE_FLIGHT and (why := self._may_not_fly(fleet)):
-                    self.reason = why
-                else:
-                    ending = self.state is MissionState.ENDING
-                    self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
+            self._leave_stage(fleet, now_ns)
             self._data.waiting_since_ns.clear()
             return ()
-        unfit = [r for r in waiting if fleet[r].mode in UNFIT or self._lost_power(r, fleet[r], now_ns)]
-        lost = first_lost_robot(unfit, fleet)
-        if lost is not None and self.state in PRESTART:  # it would accept no command but DISARM
-            self._on_timeout(f"robot {lost[0]}: {lost[1]}", now_ns)
-            return ()
-        flying = [r for r in waiting if self._spoke(fleet[r], now_ns) and fleet[r].mode in LIVE]
-        if flying and self.state is MissionState.CLEARING:  # the stop has not reached it: cleared, it would fly on
-            self._on_timeout(f"robot {flying[0]} has not stopped: it is {mode_name(fleet[flying[0]])}", now_ns)
-            return ()
-        since_ns = self._data.waiting_since_ns
-        self._data.waiting_since_ns = since_ns = {r: since_ns.get(r, now_ns) for r in waiting}
-        patience_s = JOIN_WITHIN_S if self.state in JOINING else PATIENCE_S
-        late = [r for r in waiting if now_ns - since_ns[r] > patience_s * 1e9]
-        if late:
-            robots = ", ".join(map(str, late))
-            text = f"robot {robots} does not follow {stage.order.name}"  # also of a second stage with the same command
-            self._on_timeout(self.reason if self.reason.startswith(text) else f"{text}: {self.reason or 'no answer'}", now_ns)
+        trouble = self._stage_trouble(stage, waiting, fleet, now_ns)
+        if trouble:
+            self._on_timeout(trouble, now_ns)
             return ()
         if stage.order is CommandKind.ARM:  # under power it refuses; restarted meanwhile, it would be armed by this
             waiting = [r for r in waiting if fleet[r].mode not in LIVE]
         moving = [r for r in waiting if self.state in PLANNING and fleet[r].mode in MOVING]  # a plan from rest is not for them
         others = [r for r in waiting if r not in moving]
         return self._send(CommandKind.HOLD, moving, now_ns) + self._send(stage.order, others, now_ns)
+
+    def _leave_stage(self, fleet: Fleet, now_ns: int) -> None:
+        """Go on from a stage that all have confirmed, unless no more was asked for, or robots may not fly."""
+        if self.state is self._last_state:
+            return
+        trouble = self._may_not_fly(fleet) if self.state in BEFORE_FLIGHT else ""
+        if trouble:
+            self.reason = trouble
+            return
+        ending = self.state is MissionState.ENDING
+        self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
+
+    def _stage_trouble(self, stage: CommandStage, waiting: Sequence[int], fleet: Fleet, now_ns: int) -> str:
+        """Reason to give up a stage that the `waiting` robots have not confirmed; empty if they still may. Keeps since when
+        each of them waits."""
+        unfit = [r for r in waiting if fleet[r].mode in UNFIT or self._lost_power(r, fleet[r], now_ns)]
+        lost = first_lost_robot(unfit, fleet)
+        if lost is not None and self.state in PRESTART:  # it would accept no command but DISARM
+            return f"robot {lost[0]}: {lost[1]}"
+        flying = [r for r in waiting if self._spoke(fleet[r], now_ns) and fleet[r].mode in LIVE]
+        if flying and self.state is MissionState.CLEARING:  # the stop has not reached it: cleared, it would fly on
+            return f"robot {flying[0]} has not stopped: it is {mode_name(fleet[flying[0]])}"
+        since_ns = self._data.waiting_since_ns
+        self._data.waiting_since_ns = since_ns = {r: since_ns.get(r, now_ns) for r in waiting}
+        patience_s = JOIN_WITHIN_S if self.state in JOINING else PATIENCE_S
+        late = [r for r in waiting if now_ns - since_ns[r] > patience_s * 1e9]
+        if not late:
+            return ""
+        text = f"robot {', '.join(map(str, late))} does not follow {stage.order.name}"
+        is_told = self.reason.startswith(text)  # by an earlier stage with the same command
+        return self.reason if is_told else f"{text}: {self.reason or 'no answer'}"
 
     def _note_power(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> None:
         """Remember which robots were armed since the last request for which they may be, by their states and replies."""

@@ -63,15 +63,15 @@ class ObstacleMonitor:
     def discs_to_avoid(
         self, lost: Iterable[RobotView], now_ns: int | None = None, room_m: float | None = None, obstacles: bool = True
     ) -> Array:
-        """Discs of obstacles and of lost robots.
+        """Discs (k, 3: x, y, radius) in m of obstacles, then of the `lost` robots, where they were last seen.
 
-        `obstacles` False leaves the obstacles out; with `now_ns` only those count that have been seen for SURE_S. A lost robot
-        lies where it was last seen. Robots keep a growing bubble around a silent one, so plans leave `room_m` for it; None:
+        `obstacles` False leaves the obstacles out. With `now_ns`, obstacles that have been seen for less than SURE_S are left
+        out. Robots keep a growing bubble around a silent one, so the disc of a lost robot has `room_m` around its hull; None:
         safety.bubble_max_m.
         """
         safety = self.flown.safety
-        wide_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
-        robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.is_located]
+        lost_radius_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
+        robots = [(*robot.eta[:2], lost_radius_m) for robot in lost if robot.is_located]
         return np.vstack([self._discs(now_ns) if obstacles else NO_OBSTACLES, np.array(robots).reshape(-1, 3)])
 
     def first_contact(self, segment: PlanSegment, progress_s: float, lost: Mapping[int, RobotView], now_ns: int | None) -> str:
@@ -87,6 +87,6 @@ class ObstacleMonitor:
         return first_contact(self.flown, segment, progress_s, progress_s + AHEAD_S, obstacles, located(lost))
 
     def _discs(self, now_ns: int | None) -> Array:
-        """Discs of the obstacles that are there: with `now_ns` only those seen for SURE_S by then."""
-        sure = [now_ns is None or now_ns - self._since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._present.ids]
-        return self._present.discs[np.array(sure, dtype=bool)] if self._present.ids else NO_OBSTACLES
+        """Discs (k, 3) of the present obstacles; with `now_ns` only of those seen for SURE_S by then."""
+        are_sure = [now_ns is None or now_ns - self._since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._present.ids]
+        return self._present.discs[np.array(are_sure, dtype=bool)] if self._present.ids else NO_OBSTACLES
