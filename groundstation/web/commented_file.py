@@ -51,7 +51,7 @@ def _other_keys(one: Any, other: Any, name: str) -> Iterator[str]:
 def _lines(section: Section, name: str, needed: Set[str], commented_keys: set[str]) -> Iterator[str]:
     """Lines of a section: its own keys, then its sections. A key that is in `commented_keys` has had its comment."""
     below: list[tuple[str, Any]] = []
-    for key, value in _different(section, name, needed).items():
+    for key, value in _values_to_give(section, name, needed).items():
         dotted = f"{name}.{key}" if name else key
         if isinstance(value, Section) or (isinstance(value, tuple) and value and isinstance(value[0], Section)):
             below.append((dotted, value))
@@ -69,8 +69,9 @@ def _lines(section: Section, name: str, needed: Set[str], commented_keys: set[st
             yield from _lines(one, dotted, needed, commented_keys)
 
 
-def _different(section: Section, name: str, needed: Set[str]) -> dict[str, Any]:
-    """The values that a file has to give: those without a default, those that differ from it, and the `needed` ones."""
+def _values_to_give(section: Section, name: str, needed: Set[str]) -> dict[str, Any]:
+    """Values, by key, that the file has to give for a section: those without a default, those that differ from it, and those
+    of the keys in `needed`. `name`: the section's dotted name, as in `simulation.plant`; empty for the experiment."""
     values = {}
     for key, field in type(section).model_fields.items():
         value = getattr(section, key)
@@ -79,7 +80,7 @@ def _different(section: Section, name: str, needed: Set[str]) -> dict[str, Any]:
             values[key] = value
     if isinstance(section, Experiment):
         values["vehicle"] = _shipped_name(section.vehicle) or section.vehicle
-        if _has_shape(section):
+        if _has_shape(section):  # it gives the robots' nodes
             values["robots"] = tuple(robot.model_copy(update={"node_m": None}) for robot in section.robots)
     return values
 

@@ -154,9 +154,11 @@ class LogPlayer:
                 payloads.append(line.payload)
                 headers.append(line.header)
                 says = line.topic.type in session_clocks.LINE_CLOCKS and line.arrived_ns != line.header.stamp_ns
-                held_ns = session_clocks.held_ns(line.topic, _read(line.topic.type, line.payload)) if says else None
-                if held_ns is not None:
-                    session, ahead_ns = line.header.session, arrivals[-1] - line.header.stamp_ns - held_ns
+                age_ns = None
+                if says:
+                    age_ns = session_clocks.age_when_published_ns(line.topic, _read(line.topic.type, line.payload))
+                if age_ns is not None:
+                    session, ahead_ns = line.header.session, arrivals[-1] - line.header.stamp_ns - age_ns
                     if line.topic.type is not Truth:
                         block.ahead_ns[session] = min(block.ahead_ns.get(session, ahead_ns), ahead_ns)
                     if session_clocks.stamps_lines_too(line.topic, self.start_ns + ahead_ns):

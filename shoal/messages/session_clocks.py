@@ -21,8 +21,10 @@ _UNKNOWN = (topics.POSE.type, topics.OBSTACLES.type)  # messages about a picture
 _Clock = tuple[int, bool]  # session, and whether of its events: a localizer stamps all else by its camera's clock
 
 
-def held_ns(topic: Topic, message: object) -> int | None:
-    """Age of a message when it was published; None if it does not say so. The log has no ages."""
+def age_when_published_ns(topic: Topic, message: object) -> int | None:
+    """Age of a message in ns when it was published, by its contents: the log does not keep the ages that the bus carries. A
+    robot's state is as old as its step took, a localizer's status as old as its frame. None for messages about pictures that
+    do not contain their age; 0 for all others, which are published at once."""
     if isinstance(message, RobotState):
         return round(message.timing.step_us * 1e3)
     if isinstance(message, LocalizerStatus):
@@ -54,7 +56,7 @@ class SessionClocks:
         all share one clock, and a message arrives at its stamp: there is nothing to keep."""
         if isinstance(message, LocalizerStatus):
             self._localizers.add(session)
-        age_ns = held_ns(topic, message)
+        age_ns = age_when_published_ns(topic, message)
         is_lockstep = arrived_ns == stamp_ns
         if age_ns is None or is_lockstep:
             return

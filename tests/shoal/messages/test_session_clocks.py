@@ -5,7 +5,7 @@ import pytest
 
 from shoal.messages import topics
 from shoal.messages.messages import Event, LocalizerStatus, Obstacles, Plan, Pose, Preview, RobotState, StepTiming, Track
-from shoal.messages.session_clocks import ALIKE_NS, OLD_LINE_NS, WINDOW_NS, SessionClocks, held_ns, is_old_line
+from shoal.messages.session_clocks import ALIKE_NS, OLD_LINE_NS, WINDOW_NS, SessionClocks, age_when_published_ns, is_old_line
 from shoal.messages.topics import Topic
 
 MS = 1_000_000
@@ -34,7 +34,7 @@ def _clocks(*messages: tuple[Topic, object, int, int], session: int = 7) -> Sess
     ],
 )
 def test_a_message_counts_if_it_says_how_old_it_was(topic: Topic, message: object, held: int | None) -> None:
-    assert held_ns(topic, message) == held
+    assert age_when_published_ns(topic, message) == held
     ahead_ns = _clocks((topic, message, 0, 90 * MS)).shift_ns(topic.name, 7, 0)
     assert ahead_ns == (0 if held is None else 90 * MS - held)
 
