@@ -97,7 +97,7 @@ class ObstacleDetector:
         self._stamp_ns = stamp_ns
         self._steps += 1
         step_s = min(abs(elapsed_s), _LONGEST_STEP_S)
-        hidden, shaded = self._robots(robots_m)
+        hidden, shaded = self._mask_robots(robots_m)
         colours, steady = self._smoother.update(self._grid.colours(frame), hidden, step_s)
         distance = self._background.distance(colours, shaded)
         watched = self._in_pool & self._background.is_known & steady
@@ -126,9 +126,9 @@ class ObstacleDetector:
 
     # --- in the order of `step`
 
-    def _robots(self, robots_m: Array) -> tuple[Mask, Mask]:
-        """Masks of the cells that may show a robot, and of the cells where its shadow may lie on the floor, wherever the lamps
-        hang."""
+    def _mask_robots(self, robots_m: Array) -> tuple[Mask, Mask]:
+        """Masks of the cells that may show one of the robots at `robots_m` (n, 3) in the pool, and of the cells where their
+        shadows may lie on the floor, wherever the lamps hang."""
         hidden, shaded = (np.zeros(self._in_pool.shape, np.uint8) for _ in range(2))
         if len(robots_m):
             reach = self._robot_reach_m

@@ -107,8 +107,11 @@ class CheckedCameraPose(FixedCameraPose):
         return np.tile(covariance, (len(tangents), 1, 1))
 
     def _early_covariance(self, turn: int) -> Array:
-        """Covariance (3, 3) of the shift that the marks of the last pictures show, if they have moved alike: poses do not wait
-        for the verdict on a small knock, for which waves could be to blame. Waves move each mark another way."""
+        """Covariance (3, 3) of the shift that the marks of the last _EARLY_MARKS pictures show if all have moved the same way;
+        otherwise zero. `turn`: index of the mark that is read in this picture.
+
+        The verdict on a small knock takes rounds, since waves move marks as far, but each in another direction. Poses get
+        their greater uncertainty before it."""
         newest_px: dict[int, Array] = {}  # corners (4, 2) of each mark in the last pictures; a picture shows one in turn
         for k in sorted({(turn - back) % len(self._ids) for back in range(_EARLY_MARKS)}):
             corners_px = self._readings[k][-1] if self._readings[k] else None

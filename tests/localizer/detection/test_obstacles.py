@@ -211,7 +211,7 @@ def test_a_robot_behind_a_camera_that_looks_aslant_hides_nothing_in_its_picture(
     experiment = EXPERIMENT.model_copy(update={"camera": ASLANT, "pool": pool})
     frames = np.random.default_rng(1).integers(80, 90, (80, 960, 1280), dtype=np.uint8)
     for place in np.linspace([-3.7, 0.0, 0.3], [-1.9, 0.0, 0.3], 12):
-        hidden, shaded = ObstacleDetector(experiment)._robots(place[None])  # what it hides shows in no result
+        hidden, shaded = ObstacleDetector(experiment)._mask_robots(place[None])  # what it hides shows in no result
         assert not hidden.any() and shaded.mean() < 0.05, place
     watcher = ObstacleDetector(experiment)
     for k, frame in enumerate(frames):
