@@ -289,9 +289,10 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
 
 
 @kernel(part=True)
-def tell_ground(learned: LearnedModel, now: Table, water_x: float, water_y: float) -> None:
-    """Change the rows of `now` that a current changes: velocities are over ground, and what a model of still water does not
-    explain is the drag too."""
+def add_current(learned: LearnedModel, now: Table, water_x: float, water_y: float) -> None:
+    """Add the current, m/s in the pool, to `now` (4, 4; rows as in `Estimator._observe`): nu, through the water, becomes that
+    over ground. The last row becomes the acceleration that a model of still water does not explain: Gamma, and the change of
+    drag by the current."""
     eta, nu, unexplained = now[0], now[1], now[3]
     in_water_u, in_water_v = drag(learned.motion.coefficients, nu[0], nu[1])
     cos, sin = math.cos(eta[3]), math.sin(eta[3])
@@ -383,7 +384,7 @@ def observe(
     now = belief.now
     for i in range(4):
         now[0, i], now[1, i], now[2, i], now[3, i] = present[i], present[4 + i], gamma[i], gamma[i]
-    tell_ground(learned, now, water[0], water[1])
+    add_current(learned, now, water[0], water[1])
     tell_deviations(bank.mixed, numbers[3], belief.deviation)
     for i in range(STATES):
         belief.action[i] = acting[i]

@@ -176,10 +176,11 @@ def out_of_range(probe: BoardProbe) -> Measured:
         if not probe.arm():
             return False, "does not arm"
         for channel in range(4):
-            for off in (NUDGE_US + 1, -NUDGE_US - 1):
-                offs = [NUDGE_US / 2] * 4
-                offs[channel] = off
-                for frame in (probe.pulses(*offs), probe.pulses()):  # every other one is good, so that it stays armed
+            for excess_us in (NUDGE_US + 1, -NUDGE_US - 1):
+                from_neutral_us = [NUDGE_US / 2] * 4
+                from_neutral_us[channel] = excess_us
+                refused, neutral = probe.pulses(*from_neutral_us), probe.pulses()
+                for frame in (refused, neutral):  # between refused frames a valid one keeps the board armed
                     probe.wire.send(frame)
                     moved = probe.listen(PERIOD_NS * 1e-9, lambda: not probe.still)
                     if moved:

@@ -17,15 +17,17 @@ class SensorNoise:
     15 ms."""
 
     def __init__(self, size_px: tuple[int, int], noise: float, random: np.random.Generator) -> None:
+        """`noise`: standard deviation of a pixel at mid grey, in grey levels of 255."""
         shape = (size_px[1] + SPARE_PX[1], size_px[0] + SPARE_PX[0])
         field = random.standard_normal(shape, dtype=np.float32) * np.float32(UNIT)
         self._field = np.clip(np.rint(field), -127, 127).astype(np.int8)
-        self._read = READ_SHARE * (noise / UNIT) ** 2
-        self._shot = (1.0 - READ_SHARE) / MID_GREY * (noise / UNIT) ** 2
+        # Variances in (levels / UNIT)^2: of the read noise, and of the shot noise per grey level
+        self._read_variance = READ_SHARE * (noise / UNIT) ** 2
+        self._shot_variance = (1.0 - READ_SHARE) / MID_GREY * (noise / UNIT) ** 2
 
     def add(self, raw: Bytes, frame_index: int) -> Bytes:
         """A noisy copy of a mosaic (height, width), the same for the same frame index."""
         left, top = (frame_index * stride % spare for stride, spare in zip(STRIDE, SPARE_PX, strict=True))
         noisy = np.empty_like(raw)
-        kernels.add_noise(raw, self._field, top, left, self._read, self._shot, noisy)
+        kernels.add_noise(raw, self._field, top, left, self._read_variance, self._shot_variance, noisy)
         return noisy

@@ -154,30 +154,31 @@ class ActuatorModel:
     """The actuators of every robot of an experiment."""
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
+        """`seed`: of the thrusters' gains, which differ by up to plant.thruster_spread."""
         plant, vehicle, thruster = experiment.sim.plant, experiment.vehicle, experiment.vehicle.thruster
         legs = vehicle.legs
         lag_s = thruster.lag_s if plant.thruster_lag_s is None else plant.thruster_lag_s
         thruster_delay = round(thruster.dead_time_s / plant.step_s)
         ankle_delay = thruster_delay if legs is None else round(legs.ankle_dead_time_s / plant.step_s)
         self.dead_steps = min(thruster_delay, ankle_delay)  # steps before pulses that are sent now take effect
-        self._depth = max(thruster_delay, ankle_delay) + 1
+        self._history_steps = max(thruster_delay, ankle_delay) + 1  # commands that the state keeps
         self._neutral_us = np.full(OUTPUTS, float(thruster.neutral_us))
         ankle_us, reach_rad, rate_radps = (0.0, 1.0), 0.0, 0.0  # of ankles that are not there
-        place = vehicle.thruster_table
+        mounting = vehicle.thruster_table  # (thrusters, 6): place in m, direction of thrust; on the body's axes
         if legs is not None:
             ankle_us, reach_rad, rate_radps = legs.ankle_us, legs.ankle_range_rad, legs.ankle_rate_radps
             self._neutral_us[LEGS:] = np.mean(legs.ankle_us)
-            place = np.zeros((LEGS, 6))
-            place[:, :2], place[:, 2] = legs.position_m, plant.tilt.legs_below_m
+            mounting = np.zeros((LEGS, 6))  # a leg's direction turns
+            mounting[:, :2], mounting[:, 2] = legs.position_m, plant.tilt.legs_below_m
         curve_us, curve_n = np.array(thruster.curve, dtype=np.float64).T.copy()
-        self.count = len(place)  # of thrusters
+        self.count = len(mounting)  # of thrusters
         self.constants = Actuators(
             curve_us,
             curve_n,
             np.array(ankle_us, dtype=np.float64),
             np.array([-reach_rad, reach_rad]),
-            place[:, :3].copy(),
-            place[:, 3:].copy(),
+            mounting[:, :3].copy(),
+            mounting[:, 3:].copy(),
             0 if legs is None else LEGS,
             lag_s,
             rate_radps,
@@ -192,7 +193,7 @@ class ActuatorModel:
     def start(self) -> ActuatorState:
         """State at rest: neutral pulses for as long as the dead times reach back, ankles level."""
         still, level = np.zeros((self._robots, self.count)), np.zeros((self._robots, LEGS))
-        return ActuatorState(still, level, np.tile(self._neutral_us, (self._depth, self._robots, 1)))
+        return ActuatorState(still, level, np.tile(self._neutral_us, (self._history_steps, self._robots, 1)))
 
     def command_history(self, motors: ActuatorState, pulses_us: Array, steps: int = 1) -> Array:
         """Command history (k, n, 8) after pulses (n, 8) have been on the outputs for some steps."""
