@@ -19,7 +19,7 @@ from groundstation.gate.gate import is_here
 from groundstation.gate.own_door import OwnDoor
 from groundstation.gate.user_folders import fits, user_folders
 from shoal.bus.bus import Bus
-from shoal.bus.endpoint import Endpoint, beside, parse_address
+from shoal.bus.endpoint import Endpoint, client_of, parse_address
 from shoal.errors import ConfigError
 from shoal.runtime.cli_options import DEFAULT_STATION
 from shoal.runtime.runtime import log
@@ -44,7 +44,7 @@ class RunningStation:
 @contextmanager
 def announced(endpoint: Endpoint, fleet: str, experiment: str, bus: Bus) -> Iterator[None]:
     """Let terminals find this station meanwhile, and make requests at its own door."""
-    standing = RunningStation(beside(endpoint).address, fleet, experiment, os.getpid())
+    standing = RunningStation(client_of(endpoint).address, fleet, experiment, os.getpid())
     name = f"{os.getpid()}-{secrets.token_hex(4)}"  # containers share folders, and count processes each for themselves
     with ExitStack() as places:
         doors = sum([_offer_station(places, folder / name, standing, bus) for folder in user_folders(make=True)])

@@ -112,7 +112,8 @@ class LogPlayer:
         return math.inf if line is None else line.arrived_ns - self.start_ns
 
     def plan_age_s(self, plan: AgedMessage, robot: int, at_ns: int) -> float:
-        """Age of a robot's newest plan: LOOK_BACK blocks where it is older than that, infinite before the first."""
+        """Age of a robot's newest plan at an instant. Plans older than LOOK_BACK blocks are not read: then it is that limit.
+        Infinite before the robot's first plan."""
         if plan.message is not None:
             return plan.age_ms * 1e-3
         return LOOK_BACK * BLOCK_NS * 1e-9 if self._first_plan_ns[robot] <= at_ns else math.inf

@@ -104,8 +104,8 @@ def observe_turn(
 
 
 def covariances(thrusters: int) -> tuple[Array, Array]:
-    """Covariance of how far the residual goes with the thrusters' moments, drag, the moment's change, and nothing; and of how
-    far all thrusters' moments go together, one for one."""
+    """Two covariances (thrusters + 3, thrusters + 3) of the factors by which the residual goes with each thruster's moment,
+    drag, the moment's change, and nothing: the prior one, and that of a change of all thrusters alike."""
     prior = np.diag(np.square([OF_ONE] * thrusters + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
     prior[:thrusters, :thrusters] += OF_ALL**2
     alike = np.diag([1.0] * thrusters + [0.0] * 3)

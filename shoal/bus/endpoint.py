@@ -51,9 +51,9 @@ class Endpoint:
     ] = ()  # router with keys: where it listens instead, behind its guard and its door (groundstation/gate/gate.py)
 
 
-def beside(endpoint: Endpoint) -> Endpoint:
-    """The same router for another session of this process. One that listens at every address of its machine is called by
-    loopback: no certificate names a wildcard."""
+def client_of(endpoint: Endpoint) -> Endpoint:
+    """Endpoint of a client of the same router, for another session of its process. A router that listens at every address of
+    its machine is called by loopback: no certificate names a wildcard."""
     protocol, host, port = parse_address(endpoint.address)
     address = f"{protocol}/{WILDCARDS[host]}:{port}" if host in WILDCARDS else endpoint.address
     return replace(endpoint, address=address, router=False, access=None)

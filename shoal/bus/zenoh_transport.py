@@ -19,7 +19,7 @@ import zenoh.ext
 
 from shoal.bus.access_control import DOOR, listed
 from shoal.bus.connection_diagnostics import trouble_listening, trouble_reaching
-from shoal.bus.endpoint import MOST_SESSIONS, Endpoint, beside, settings
+from shoal.bus.endpoint import MOST_SESSIONS, Endpoint, client_of, settings
 from shoal.bus.transport import Answer, Await, Collect, Deliver, Presence, Urgent
 from shoal.errors import ConfigError, Unreached
 from shoal.messages.topics import RECOVERED, Qos
@@ -250,7 +250,7 @@ class ZenohTransport:
             return self._control
         with self._opening:
             if self._images is None:
-                where = self._gate.inside if self._gate is not None else beside(self._endpoint)
+                where = self._gate.inside if self._gate is not None else client_of(self._endpoint)
                 self._images = _open(where, self._stopped, float("inf"))
             return self._images
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from shoal.bus.access_control import DOOR
-from shoal.bus.endpoint import FLOOD, MOST_SESSIONS, Endpoint, beside, settings
+from shoal.bus.endpoint import FLOOD, MOST_SESSIONS, Endpoint, client_of, settings
 from shoal.bus.key_ring import Keys
 from shoal.messages import topics
 
@@ -87,5 +87,5 @@ def test_with_keys_both_sides_show_a_certificate_and_nothing_else_is_spoken(rout
     [("tls/0.0.0.0:7", "tls/127.0.0.1:7"), ("tcp/[::]:7", "tcp/[::1]:7"), ("tls/pool:7", "tls/pool:7")],
 )
 def test_another_session_of_a_routers_process_is_a_client_by_loopback(address: str, own: str) -> None:
-    other = beside(Endpoint(address, router=True, keys=KEYS, access={"enabled": True}))
+    other = client_of(Endpoint(address, router=True, keys=KEYS, access={"enabled": True}))
     assert (other.address, other.router, other.access, other.keys) == (own, False, None, KEYS)
