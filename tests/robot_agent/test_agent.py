@@ -173,10 +173,8 @@ def test_a_silent_robot_that_the_camera_sees_counts_though_no_plan_of_it_ever_ca
         return real(measurement, goal, neighbours, at_ns, obstacles)
 
     monkeypatch.setattr(agent.controller, "step", step)
-    sightings, touching_m = (
-        {2: -1.5 - 0.5j, 1: 0j},
-        2.0 * POOL.safety.radius_m,
-    )  # and this robot itself, whose plans are not heard
+    touching_m = 2.0 * POOL.safety.radius_m
+    sightings = {2: -1.5 - 0.5j, 1: 0j}  # and this robot itself, whose plans are not heard
     for k, (_, fresh, at_ns) in enumerate(itertools.islice(steps, 60)):
         station = replace(fresh.station, sightings=sightings if k < 40 else {}, out=(2,) if k >= 50 else ())
         state = agent.step(replace(fresh, plans={}, station=station), at_ns).state
