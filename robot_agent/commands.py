@@ -24,7 +24,7 @@ ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The 
 DEFAULT_CONFIG = Path("agent.toml")
 COLOURS = {"ok": "green", "warn": "yellow", "FAIL": "red", "skipped": None}  # by verdict
 UNIT_NAME = "shoal-agent.service"
-CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and is no hand near it?"
+CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and are all hands away from it?"
 
 
 def init(

@@ -134,6 +134,7 @@ class BoardZero:
         return zero_m if zero_m != telemetry.power_on_depth_m else None
 
     def _read(self) -> ZeroRecord | None:
+        """The record in the file; None if there is none, or it cannot be read, which is reported."""
         try:
             return read_record(self._folder) if self._folder is not None else None
         except OSError as error:

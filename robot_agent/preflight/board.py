@@ -205,6 +205,7 @@ def _foreign_frames(telemetry: Telemetry, robot: int) -> str:
 
 
 def _computer() -> Iterator[CheckFinding]:
+    """Findings about the computer that runs the agent: real-time scheduling and CPU clock."""
     yield CheckFinding("real time", CheckVerdict.OK, realtime.permitted())
     governor = realtime.governor()
     if governor and governor != "performance":

@@ -166,6 +166,7 @@ class HealthMonitor:
 
     @property
     def _gyroscope_doubt(self) -> str:
+        """The reason to doubt the gyroscope; empty if there is none."""
         if self._rate.same_s:
             return f"exactly the same for {self._rate.same_s:.1f} s"
         apart_rad = self._gyroscope.apart_rad
