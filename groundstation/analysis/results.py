@@ -123,7 +123,7 @@ class Cause:
 
     @property
     def injected_label(self) -> str:
-        """What `injected` is: of a limit that was missed over the whole run nothing shows that it came before."""
+        """Name of `injected` for people. Nothing shows that an injection came before what was missed over the whole run."""
         return "injected in the flight" if self.time_s is None else "injected before"
 
 

@@ -339,7 +339,7 @@ def test_thrusters_are_tested_on_request_and_a_test_may_be_made_a_condition() ->
 
 
 def test_robots_fly_their_own_way_into_another_form() -> None:
-    """Plans kept 2R, robots give way at 2R and 0.12 m: they left such plans by up to 0.9 m, and flights missed their limits."""
+    """Plans kept 2R, robots give way at 2R and 0.12 m: they left such plans by up to 0.9 m, and flights failed."""
     corners = "points_m=[[-0.6,-0.6],[0.6,-0.6],[0.6,0.6],[-0.6,0.6]]"
     square = f'{{kind="waypoints",{corners},laps=2,speed_mps=0.12,depth_m=0.5,corner="stop"}}'
     three = ('formation={shape="line",spacing_m=0.8}', "robots=[{id=1},{id=2},{id=3}]", "pool.size_m=[6,4,1.5]", NO_CAMERA)
