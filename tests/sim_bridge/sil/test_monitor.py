@@ -86,7 +86,7 @@ def test_the_planned_end_of_a_flight_is_told_by_the_clock_beside_it() -> None:
 
 
 def test_a_robot_that_is_led_alone_puts_off_no_end() -> None:
-    """Robot 2 left the formation after 30 s: its clock along the formation's trajectory stands, that of robot 1 goes on."""
+    """Robot 2 left the formation after 30 s: its clock along the formation's trajectory stands; that of robot 1 goes on."""
     hub = MemoryHub()
     robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
     for led, time_s in ((Mode.DRIVEN, 50), (Mode.HOLDING, 70)):
