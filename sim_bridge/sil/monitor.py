@@ -79,8 +79,15 @@ class Monitor:
         return self._flown_s
 
     @property
+    def began_ns(self) -> int:
+        """Instant at which the formation's flight began, or will begin, on the station's clock; 0 while it has not been
+        started."""
+        heartbeat = self._heartbeat.newest()
+        return heartbeat.message.began_ns if heartbeat is not None else 0
+
+    @property
     def time_s(self) -> float | None:
-        """Time since the formation's flight began, negative just before; None while it has not been started."""
+        """Time since then, negative just before; None while it has not been started."""
         heartbeat = self._heartbeat.newest()
         if heartbeat is None or not heartbeat.message.began_ns:
             return None
