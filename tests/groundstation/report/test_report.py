@@ -313,6 +313,39 @@ def test_a_ball_in_the_water_is_in_the_figure_of_paths_where_and_as_large_as_it_
     assert [[*np.ravel(disc.get_center()), disc.get_radius()] for disc in discs] == [[0.4, -0.2, 0.15]]
 
 
+def test_a_ball_that_drifts_has_its_way_until_the_end_in_the_figure_of_paths(series: Series) -> None:
+    from_s, velocity_mps = 2.0, (-0.05, 0.03, 0.0)
+    ball = Drifter(radius_m=0.15, start_m=(0.4, -0.2, 0.3), velocity_mps=velocity_mps, from_s=from_s)
+    late = Drifter(radius_m=0.1, start_m=(0.0, 0.0, 0.3), velocity_mps=velocity_mps, from_s=series.end_s + 1.0)
+    sim = series.experiment.sim.model_copy(update={"drifters": (ball, late)})
+    crossed = replace(series, experiment=series.experiment.model_copy(update={"sim": sim}))
+    axes = drawn(picture(figures_paths.paths(crossed))).axes[0]
+    assert [patch.get_radius() for patch in axes.patches if isinstance(patch, Circle) and patch.get_label() == "obstacle"] == [
+        0.15
+    ]
+    (way,) = (line.get_xydata() for line in axes.lines if line.get_linestyle() == ":")
+    lasts_s = series.end_s - from_s
+    np.testing.assert_allclose(way, [(0.4, -0.2), (0.4 - 0.05 * lasts_s, -0.2 + 0.03 * lasts_s)])
+
+
+def test_robots_that_dive_are_drawn_in_space_with_depth_downwards(series: Series) -> None:
+    def diving(depth_m: float) -> Series:
+        robots = {}
+        for robot, r in series.robots.items():
+            deeper_m = np.zeros_like(r.reference)
+            deeper_m[:, 2] = np.linspace(0.0, depth_m, len(deeper_m))
+            robots[robot] = replace(r, reference=r.reference + deeper_m, truth=r.truth + deeper_m)
+        return replace(series, robots=robots)
+
+    assert figures_paths.space(diving(0.02)) is None  # seen from above it is all there
+    figure = picture(figures_paths.space(diving(0.5)))
+    assert figure is not None
+    (axes,) = figure.axes
+    shallow_m, deep_m = axes.get_zlim()  # type: ignore[attr-defined]  # mpl_toolkits ships no types
+    assert shallow_m > deep_m and shallow_m - deep_m > 0.5
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [f"robot {robot}" for robot in series.robots]
+
+
 def test_limits_are_drawn_when_near_and_told_when_far() -> None:
     time_s = np.linspace(0.0, 10.0, 50)
     for amplitude, drawn_lines in ((0.25, 3), (0.01, 1)):
