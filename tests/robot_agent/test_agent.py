@@ -176,7 +176,11 @@ class OrderedRobot:
     def give(self, order: CommandKind, **fields: Any) -> Reply:
         """The reply to a command of the station of this moment; another step follows."""
         self.number += 1
-        now = {"experiment_hash": self.state.experiment_hash, "trajectory_id": "rehearsal", "start_ns": self.now_ns}
+        now: dict[str, Any] = {
+            "experiment_hash": self.state.experiment_hash,
+            "trajectory_id": "rehearsal",
+            "start_ns": self.now_ns,
+        }
         header, station = Header(STATION, self.number, self.now_ns), StationView(STATION, self.now_ns, 0.0)
         reply = self.agent.handle_command(header, Command(order, 1, **(now | fields)), station, self.now_ns)
         self.step()

@@ -323,9 +323,9 @@ def test_a_ball_that_drifts_has_its_way_until_the_end_in_the_figure_of_paths(ser
     assert [patch.get_radius() for patch in axes.patches if isinstance(patch, Circle) and patch.get_label() == "obstacle"] == [
         0.15
     ]
-    (way,) = (line.get_xydata() for line in axes.lines if line.get_linestyle() == ":")
+    (way,) = (np.array(line.get_xydata(), dtype=np.float64) for line in axes.lines if line.get_linestyle() == ":")
     lasts_s = series.end_s - from_s
-    np.testing.assert_allclose(way, [(0.4, -0.2), (0.4 - 0.05 * lasts_s, -0.2 + 0.03 * lasts_s)])
+    assert way == pytest.approx(np.array([[0.4, -0.2], [0.4 - 0.05 * lasts_s, -0.2 + 0.03 * lasts_s]]))
 
 
 def test_robots_that_dive_are_drawn_in_space_with_depth_downwards(series: Series) -> None:
