@@ -187,7 +187,7 @@ static enum result calibrate(struct board *board, const struct event *event) {
         rules_say(&board->rules, SAY_WARNING, PSTR("not calibrated: armed"));
         return REJECTED;
     }
-    if (takes && rules_hil(&board->rules)) {
+    if (rules_hil(&board->rules)) {
         rules_say(&board->rules, SAY_WARNING, PSTR("not calibrated: in HIL mode"));
         return REJECTED;
     }

@@ -72,6 +72,7 @@ def connect_for_requests(station: RunningStation, fleet: str, keys: Path | None,
 def _connected(
     station: RunningStation, fleet: str, keys: Path | None, insecure: bool, patience_s: float, stopped: Callable[[], bool]
 ) -> Bus:
+    """Connect to a station: by this machine's own door if there is one, else at its endpoint with keys."""
     where = through_door(station.endpoint)  # before the keys: whoever may use the door needs none
     if where is None:
         me = process_name(Role.OPERATOR)

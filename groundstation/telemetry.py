@@ -250,10 +250,12 @@ def _pose_senders(experiment: Experiment, view: RobotView, state: RobotState) ->
 
 
 def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
-    """Reason why these robots may not fly by their poses, with the remedy; empty if they may."""
+    """The first of these robots whose poses may be another robot's or camera's, with the reason and the remedy; empty if there
+    is none."""
     for robot in robots:
         view = fleet[robot]
-        for problem in _pose_senders(experiment, view, view.state) if view.state is not None else ():
+        problem = None if view.state is None else next(_pose_senders(experiment, view, view.state), None)
+        if problem is not None:
             return f"robot {robot}: {problem.text} ({problem.remedy})"
     return ""
 

@@ -24,9 +24,9 @@ from shoal.runtime.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus
 from shoal.runtime.version import code
 
 TOGETHER = 0.25  # of a frame period: pictures nearer in time are fused as one, and no pose waits longer for another camera
-PicturesUpTo = Mapping[str, tuple[int, int]]  # by camera, the stamps up to which its status and its obstacles count
+PicturesUpTo = Mapping[str, tuple[int, int]]  # by camera, the stamps up to which its status and its obstacles may be used
 
-SAY_AGAIN_S = 5.0  # s between log lines about cameras that disagree
+DISAGREEMENT_LOG_S = 5.0  # s between log lines about cameras that disagree
 
 
 def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop) -> None:
@@ -39,7 +39,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop) -> N
 
 
 class CameraInboxes:
-    """Inboxes of one camera's localizer, and what of them was taken."""
+    """Inboxes of one camera's localizer, and the messages that were taken from them last."""
 
     def __init__(self, bus: Bus, camera: str, robots: tuple[int, ...]) -> None:
         self.status = bus.inbox(topics.LOCALIZER.of_camera(camera), LocalizerStatus)
@@ -55,14 +55,16 @@ class CameraInboxes:
         """True if a status has come that was not looked at."""
         return self.status.newest_header() is not self.status_header
 
-    def is_here(self, now_ns: int, period_s: float, silent_s: float) -> bool:
-        """True if a new status is here with its poses, or none is about to come."""
+    def is_due(self, now_ns: int, period_s: float, silent_s: float) -> bool:
+        """True if the next status is about to come, or a new one is here without its poses. A silent camera is not due."""
         if not self.is_new:
             since_s = float("inf") if self.used_status is None else (now_ns - self.used_status.arrived_ns) * 1e-9
-            return not (1.0 - TOGETHER) * period_s < since_s < silent_s
+            return (1.0 - TOGETHER) * period_s < since_s < silent_s
         status = self.status.newest()
-        poses = [self.poses[robot].newest_header() for robot in status.message.robots if robot in self.poses] if status else []
-        return all(pose is not None and status is not None and pose.stamp_ns >= status.header.stamp_ns for pose in poses)
+        if status is None:
+            return False
+        poses = [self.poses[robot].newest_header() for robot in status.message.robots if robot in self.poses]
+        return not all(pose is not None and pose.stamp_ns >= status.header.stamp_ns for pose in poses)
 
     def poses_of(self, status: Received[LocalizerStatus]) -> dict[int, Pose]:
         """The poses of the picture that a status is about."""
@@ -79,15 +81,16 @@ class FusionNode:
         self._period_s, self._silent_s = 1.0 / rate_hz, silent_after_s(rate_hz)
         self._bus, self.stop, self._clock, self._hash = bus, stop, clock, experiment.hash
         self.cameras = {name: CameraInboxes(bus, name, experiment.robot_ids) for name in experiment.camera_names}
-        self._up_to_ns: PicturesUpTo | None = None  # of the pictures that count; None: whatever has come
+        self._up_to_ns: PicturesUpTo | None = None  # of the pictures that may be used; None: whatever has come
         self._fusion = CameraFusion(experiment)
         self._views: dict[str, CameraView] = {}
         self._newest = (-1, -1)  # instant and stamp of the newest picture
         self._obstacles_ns = -1
-        self.pace: Iterable[PicturesUpTo | None] = self._wall_pace()  # may be replaced before the loop begins
+        # What the loop waits for before each fusion; lockstep replaces it before the loop begins.
+        self.pace: Iterable[PicturesUpTo | None] = self._when_cameras_report()
         self._out: tuple[str, ...] = ()
         self._distrusted: tuple[str, ...] = ()
-        self._say_again_ns = 0
+        self._next_disagreement_log_ns = 0
         self._stamps = SessionStamps()
 
     def run(self) -> None:
@@ -106,19 +109,23 @@ class FusionNode:
             self._fuse()
             yield
 
-    def _wall_pace(self) -> Iterator[None]:
-        """Yield when a camera has reported a picture, once the other cameras that are about to report have done so; and after
-        a silence."""
+    def _when_cameras_report(self) -> Iterator[None]:
+        """Yield when the pictures of one instant can be fused, by the wall clock.
+
+        After the first camera's report the others have a quarter of a frame period (TOGETHER) for theirs. Yields too when
+        every camera has been silent for `_silent_s`, so that a status goes out.
+        """
         cameras = self.cameras.values()
         while not self.stop.requested:
             if wait(self._bus, self.stop, lambda: any(camera.is_new for camera in cameras), self._silent_s):
-                wait(self._bus, self.stop, self._all_here, TOGETHER * self._period_s)
+                wait(self._bus, self.stop, self._no_camera_is_due, TOGETHER * self._period_s)
             if not self.stop.requested:
                 yield
 
-    def _all_here(self) -> bool:
+    def _no_camera_is_due(self) -> bool:
+        """True if every camera has reported its picture, or will not do so soon."""
         now_ns = time.monotonic_ns()
-        return all(camera.is_here(now_ns, self._period_s, self._silent_s) for camera in self.cameras.values())
+        return not any(camera.is_due(now_ns, self._period_s, self._silent_s) for camera in self.cameras.values())
 
     def _fuse(self) -> None:
         """Fuse the cameras' new messages, and publish poses, obstacles and status."""
@@ -149,15 +156,15 @@ class FusionNode:
         self._log(status, result.disagreement)
 
     def _of_all(self, field: str, own: str) -> str:
-        """A field of the status that says what a program runs: this one's `own`, or that of a camera's localizer which says
-        something else, and rather that than nothing."""
+        """Merge a status field (code version, experiment hash) of this program, `own`, and of all cameras' localizers: a value
+        that differs from `own` if there is one, so that the station sees the difference. An empty one comes last."""
         values = sorted((str(getattr(view.status, field)) for view in self._views.values()), reverse=True)
         return next((value for value in values if value != own), own)
 
     def _take_picture(self, name: str, camera: CameraInboxes) -> tuple[int, int] | None:
         """Take a camera's newest picture. Returns its instant and stamp, None if there is no new one."""
         camera.status_header = camera.status.newest_header()
-        status_ns, _ = self._counts_up_to_ns(name)
+        status_ns, _ = self._newest_usable_ns(name)
         status = camera.status.newest(status_ns)
         if status is None or status is camera.used_status:
             return None
@@ -166,8 +173,8 @@ class FusionNode:
         self._views[name] = CameraView(instant_ns, status.message, camera.poses_of(status))
         return instant_ns, self._stamps.of(name, status.header.stamp_ns, instant_ns, status.header.session)
 
-    def _counts_up_to_ns(self, camera: str) -> tuple[int | None, int | None]:
-        """Stamps up to which a camera's status and obstacles count; None: whatever has come."""
+    def _newest_usable_ns(self, camera: str) -> tuple[int | None, int | None]:
+        """Stamps of the newest status and obstacles of a camera that may be used; None: whatever has come."""
         return (None, None) if self._up_to_ns is None else self._up_to_ns.get(camera, (-1, -1))
 
     def _publish_obstacles(self, out: tuple[str, ...]) -> None:
@@ -196,7 +203,7 @@ class FusionNode:
         new ones that are trusted."""
         new: list[tuple[int, int]] = []
         for name, camera in self.cameras.items():
-            obstacles = camera.obstacles.newest(self._counts_up_to_ns(name)[1])
+            obstacles = camera.obstacles.newest(self._newest_usable_ns(name)[1])
             if obstacles is not None and obstacles is not camera.used_obstacles:
                 camera.used_obstacles = obstacles
                 if name not in out:
@@ -206,11 +213,11 @@ class FusionNode:
         return new
 
     def _log(self, status: LocalizerStatus, disagreement: str) -> None:
-        """Log which cameras are out when that changes, and now and then that they disagree."""
+        """Log which cameras are out when that changes, and every DISAGREEMENT_LOG_S that they disagree."""
         if status.out != self._out:
             self._out = status.out
             (log.warning if status.out else log.info)("%s", status.message if status.out else "all cameras see")
         now_ns = self._clock.now_ns()
-        if disagreement and now_ns >= self._say_again_ns:
-            self._say_again_ns = now_ns + round(SAY_AGAIN_S * 1e9)
+        if disagreement and now_ns >= self._next_disagreement_log_ns:
+            self._next_disagreement_log_ns = now_ns + round(DISAGREEMENT_LOG_S * 1e9)
             log.warning("%s", disagreement)

@@ -233,6 +233,7 @@ class LocalizerNode:
         previews.offer_nothing(why, captured.stamp_ns)
 
     def _count_failure(self, why: str, error: Exception) -> None:
+        """Count a picture in which localizing failed. Too many in a row end the process."""
         self._failed, self._failed_in_a_row = self._failed + 1, self._failed_in_a_row + 1
         if self._failed_in_a_row == 1:
             log.error("%s", why, exc_info=error)
@@ -268,6 +269,7 @@ class LocalizerNode:
             )
 
     def _report_absent(self, source: FrameSource, previews: PreviewPublisher) -> None:
+        """Publish a status, and a preview, that say that no frames come."""
         why = f"no frame for {source.silent_after_s:g} s" + (f": {source.trouble}" if source.trouble else "")
         now_ns = self._stamps.now_ns(self._clock.now_ns())
         self._publish_status(replace(self._status, camera=CameraHealth.ABSENT, message=why, robots=()), now_ns)
@@ -300,6 +302,7 @@ class LocalizerNode:
         return topic.of_camera(self._camera)
 
     def _publish_status(self, status: LocalizerStatus, stamp_ns: int, age_ns: int = 0) -> None:
+        """Publish a status, and log a change of the camera's health."""
         self._status = status
         self._bus.publish(self._own(topics.LOCALIZER), status, stamp_ns, age_ns=age_ns)
         if status.camera is not self._last_health:

@@ -19,7 +19,7 @@ from robot_agent.control.controller import ControlOutput, Setting
 from robot_agent.control.live_tuning import LiveTuning, Prepared
 from robot_agent.guidance import driving
 from robot_agent.guidance.driving import Driver
-from robot_agent.guidance.formation import Neighbour, rest_of_plan
+from robot_agent.guidance.formation import Neighbour, plan_at_rest, rest_of_plan
 from robot_agent.guidance.obstacles import Obstacle, OwnHullFilter, grown_with_age, island_obstacles, obstacles_from_message
 from robot_agent.guidance.reference import Goal, Hold
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
@@ -307,26 +307,29 @@ class Agent:
                 self._hold = Hold(observation.eta)
             return self._hold
         if self._driven is not None and self._estimate is not None:
-            (velocity, given_ns), eta = self._driven, self._estimate.eta
+            (velocity, given_ns), estimate = self._driven, self._estimate
             lasts_s = DRIVE_LASTS_S - (now_ns - given_ns) * 1e-9
             around = driving.bodies(neighbours, obstacles, self.controller.formation, now_ns)
-            return self._driver.goal(velocity, lasts_s, eta, around)
+            return self._driver.goal(velocity, lasts_s, estimate.eta, around, estimate.nu.item(2))
         return None
 
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:
         """Return the last plans of the other robots in the water, with their freshness and their part in the formation. The
-        plan of a robot that is silent and was seen since begins where it was seen."""
+        plan of a robot that is silent and was seen since begins where it was seen; one whose plan never came rests there."""
         limit_ns, formation, neighbours = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with, []
-        for robot, message in sorted(inputs.plans.items()):
-            if robot in inputs.station.out:
-                continue
-            fresh = now_ns - message.instant_ns <= limit_ns
-            if not fresh and (place := inputs.station.sightings.get(robot)) is not None:
-                seen_ns = now_ns - round(inputs.station.age_s * 1e9)
-                age_s = (seen_ns - message.instant_ns) * 1e-9
-                self._sightings[robot] = StampedPlan(rest_of_plan(message.plan, age_s, place), seen_ns)
-            sighting = self._sightings.get(robot, message)
-            plan = message if fresh or sighting.instant_ns < message.instant_ns else sighting
+        sightings = inputs.station.sightings
+        for robot in sorted({*inputs.plans, *sightings, *self._sightings} - {self._me.id, *inputs.station.out}):
+            message = inputs.plans.get(robot)
+            fresh = message is not None and now_ns - message.instant_ns <= limit_ns
+            if not fresh and (place := sightings.get(robot)) is not None:
+                seen_ns, rest = now_ns - round(inputs.station.age_s * 1e9), plan_at_rest(place, inputs.board.depth_m)
+                if message is not None:
+                    rest = rest_of_plan(message.plan, (seen_ns - message.instant_ns) * 1e-9, place)
+                self._sightings[robot] = StampedPlan(rest, seen_ns)
+            plan = self._sightings.get(robot)
+            if message is not None and (fresh or plan is None or plan.instant_ns < message.instant_ns):
+                plan = message
+            assert plan is not None  # one of the two brought it here
             hears_us = self._me.id in plan.plan.heard
             neighbours.append(Neighbour(robot, plan.instant_ns, plan.plan, fresh, robot in formation, hears_us))
         return tuple(neighbours)

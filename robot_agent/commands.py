@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, confirmed, read_record, state_folder, write_record
+from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, confirmed, state_folder, write_record
 from shoal.config import LARGEST_ROBOT
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
@@ -24,7 +24,7 @@ ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The 
 DEFAULT_CONFIG = Path("agent.toml")
 COLOURS = {"ok": "green", "warn": "yellow", "FAIL": "red", "skipped": None}  # by verdict
 UNIT_NAME = "shoal-agent.service"
-CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and is no hand near it?"
+CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and are all hands away from it?"
 
 
 def init(
@@ -136,7 +136,7 @@ def confirm_zero(
     with os_errors_as_config_errors(where / FILE), only_request(where):
         if not ask_program(where, in_air):
             telemetry = tell_board(load_agent_config(config), in_air)
-            if read_record(where) is not None:
+            if (where / FILE).exists():
                 if telemetry.board_ms < 0:
                     raise ConfigError("the board reports no depth: try again")
                 write_record(where, confirmed(telemetry), durable=True)

@@ -88,11 +88,12 @@ class AgentNode:
         self._signing = signing
         self.mavlink = agent_end(robot, signing)
         folder = None if self.clock.waits else state_folder()
-        self._zero, self._zero_requests = BoardZero(folder), ZeroRequests(folder)
+        self._zero = BoardZero(folder)
+        self._zero_requests = ZeroRequests(folder, on_confirmed=self._zero.confirm)
         self._parameters = BoardParameters(wanted_parameters(experiment))
         self.poses = bus.inbox(topics.POSE, Pose, robot)
         self._pose: Received[Pose] | None = None  # the newest that counts
-        self._two_told = False  # that two programs publish poses
+        self._two_senders_logged = False  # that two programs publish poses
         self.heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         others = (r for r in experiment.robot_ids if r != robot)
         self.plans = bus.inboxes(topics.PLAN, Plan, others, wakes=self.clock.waits)
@@ -257,7 +258,7 @@ class AgentNode:
     # --- inputs
 
     def step(self, now_ns: int, instant: "StepTime") -> tuple[StepInputs, Outputs]:
-        """Make the record of a step, and step on it."""
+        """Collect the newest inputs in a record, and do the agent's step from that record alone: a rerun has no more."""
         self.mavlink.receive(self.link.read(), now_ns)
         heartbeat, obstacles = self._station(), self.obstacles.newest(instant.obstacles_up_to_ns)
         newest_plans = {robot: inbox.newest(instant.plans_up_to_ns) for robot, inbox in self.plans.items()}
@@ -266,9 +267,9 @@ class AgentNode:
         pose = self._trusted_pose()
         record = record_step(self._steps, self._pace.late_steps, self.clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
-        messages = {robot: plan.message for robot, plan in plans.items()}
-        message = obstacles.message if obstacles is not None else None
-        return record, self.agent.step(inputs_of(record, messages, message, now_ns), now_ns)
+        plan_messages = {robot: plan.message for robot, plan in plans.items()}
+        obstacles_message = obstacles.message if obstacles is not None else None
+        return record, self.agent.step(inputs_of(record, plan_messages, obstacles_message, now_ns), now_ns)
 
     def _note_board(self, now_ns: int) -> Telemetry:
         """Return the board's telemetry, with the objection to arming that follows from it ("" for none).
@@ -286,18 +287,19 @@ class AgentNode:
         requests += self._zero_requests.step(self.mavlink, has_power)
         if requests and not has_power:
             self.link.send(requests)
-        objection = self._parameters.objection
-        if not objection and not self.mavlink.telemetry.echo_us:
+        objection, telemetry = self._parameters.objection, self.mavlink.telemetry
+        if not objection and not telemetry.echo_us:
             objection = "the thruster board does not report its outputs: a thruster that turns by itself would go unnoticed"
-        return replace(self.mavlink.telemetry, objection=objection)
+        in_question = telemetry.zero_in_question or (self._zero.is_unknown and not telemetry.reports_start)
+        return replace(telemetry, objection=objection, zero_in_question=in_question)
 
     def _trusted_pose(self) -> Received[Pose] | None:
         """The newest pose. While two programs publish poses by turns it is the last one before: it grows old, and the robot
         holds, then stops."""
         two = self.poses.has_two_senders()
-        if two and not self._two_told:
+        if two and not self._two_senders_logged:
             log.error("two programs publish poses of this robot by turns, and none counts: end one of them")
-        self._two_told = two
+        self._two_senders_logged = two
         if not two:
             self._pose = self.poses.newest()
         return self._pose
@@ -325,7 +327,7 @@ class AgentNode:
                 return
             self._hurry.clear()
             now_s, pose = time.monotonic(), self.poses.newest()
-            pace.stepped(now_s, _arrived_s(pose, taken))
+            pace.note_step(now_s, _arrived_s(pose, taken))
             taken = pose
             yield StepTime(self.clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9))
 
@@ -392,7 +394,7 @@ class AgentNode:
         self._send_to_board(outputs, now_ns)
         sent_ns = time.perf_counter_ns() - started_ns
         if not self.clock.waits:  # where time waits for the step, nothing is late
-            self._pace.put_out((sent_ns + now_ns - due_ns) * 1e-9)
+            self._pace.count_lateness((sent_ns + now_ns - due_ns) * 1e-9)
         age_ns = 0 if self.clock.waits else sent_ns
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=age_ns)

@@ -2,6 +2,7 @@
 
 import io
 import re
+import shutil
 import signal
 import subprocess
 import threading
@@ -15,7 +16,7 @@ from groundstation.scripting.fleet import ConnectedFleet, NotHeard
 from groundstation.scripting.runs import FlownRun
 from shoal.config.experiment import NO_CAMERA, load_experiment
 from shoal.config.loader import toml_value
-from shoal.errors import Unreached
+from shoal.errors import ConfigError, Unreached
 from shoal.runtime.output_files import new_run_folder
 from shoal.runtime.runtime import Failed, Stop
 from shoal.system import programs
@@ -41,7 +42,7 @@ def simulate(
 
     Without `camera` as `sim-bridge numeric` flies, with it as `sim-bridge sil --lockstep --one-process`; its bits are the same
     under OMP_NUM_THREADS=1. `settings` are keys of the experiment: {"controller.nmpc.arm_m": 0.1}. Raises ConfigError for an
-    experiment that cannot be flown."""
+    experiment that cannot be flown, Failed if a part of the run has ended."""
     from rich.console import Console  # the simulator's packages: a station's laptop has none of them
 
     from sim_bridge.in_process import run
@@ -52,11 +53,19 @@ def simulate(
     quiet, stop = Console(quiet=True, markup=False), Stop(install=False)
     if camera:
         from sim_bridge.in_process import executor
+        from sim_bridge.sil import launcher
 
         options = RunOptions(lockstep=True, one_process=True)
         check(loaded, options)
         folder = new_run_folder(Path(out), loaded.name)
-        executor.run(loaded, folder, options, stop, quiet)
+        launcher.write_experiment(loaded, folder)
+        try:
+            succeeded = executor.fly(loaded, folder, options, stop, quiet)
+        except ConfigError:
+            if not (folder / "run.mcap").exists():
+                shutil.rmtree(folder)  # nothing was flown
+            raise
+        launcher.conclude(folder, True, succeeded, stop, quiet)
     else:
         fleet, water = run.prepared(loaded)
         folder = new_run_folder(Path(out), loaded.name)

@@ -63,7 +63,7 @@ class World(PlantRun):
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
         self._frames = 1  # the first is at time 0
         self.faults = FaultSchedule(experiment)
-        self.start_ns: int | None = None  # plant time at which the trajectories begin; set by the process
+        self.start_ns: int | None = None  # plant time at which the newest flight began; set by the process
         self.exposed = False  # the last step reached the middle of an exposure
 
     @property
@@ -86,13 +86,13 @@ class World(PlantRun):
 
     @property
     def flown_s(self) -> float:
-        """Time along the trajectories."""
+        """Time since the newest flight began."""
         return BEFORE_S if self.start_ns is None else (self.now_ns - self.start_ns) * 1e-9
 
     def apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
-        changes = self.faults.at(self.flown_s, self.now_ns * 1e-9)
-        self._blow(self.faults.gust_mps)
+        changes = self.faults.advance(self.flown_s, self.now_ns * 1e-9)
+        self._set_gust(self.faults.gust_mps)
         for board, faults in zip(self.boards, self.faults.imu if changes else (), strict=False):
             board.sensors.faults = faults
         return changes

@@ -64,7 +64,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "guidance": {"inputs"},
         "step_record": {"inputs"},
         "control": {"guidance", "vehicle"},
-        "safety": {"control", "inputs", "vehicle"},
+        "safety": {"control", "guidance", "inputs", "vehicle"},
         "agent": {"control", "guidance", "inputs", "safety", "vehicle"},
         "preflight": {"agent", "host", "inputs", "safety"},
         "commands": {"host", "preflight"},

@@ -60,7 +60,7 @@ class _Samples:
     values: Array
 
     def at(self, stamp_ns: Array) -> Array:
-        """Linear in between, NaN outside and across gaps, (n, columns)."""
+        """Values (n, columns) at stamps (n,): linear between two samples, NaN outside and across gaps."""
         columns = self.values.shape[1]
         if len(self.stamp_ns) < 2 or len(stamp_ns) == 0:
             return np.full((len(stamp_ns), columns), np.nan)
@@ -156,6 +156,14 @@ def zero_ns(log: RunLog, robots: Sequence[int], flight: int = 0) -> int:
 # --- flights
 
 
+def chosen_flight(log: RunLog, robots: Sequence[int], flight: int | None = None) -> tuple[int, Flight | None]:
+    """A flight of a log by its number, or the one that `align` chooses, and its number; 0 and None where nothing flew. Raises
+    ConfigError where there is none of that number."""
+    flights = _flights(log, robots)
+    number = _chosen(flights, flight)
+    return number, flights[number - 1] if number else None
+
+
 def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
     one flies any more."""
@@ -219,8 +227,15 @@ def _chosen(flights: Sequence[Flight], choice: int | None) -> int:
 
 
 def _sent_home_ns(log: RunLog, flight: Flight) -> int | None:
-    """Instant in a flight at which the station first reported the return of the fleet."""
-    return next((beat.stamp_ns for beat in _beats(log, flight) if beat.message.mission == HOMEWARD), None)
+    """Instant in a flight at which the station first reported the return of the fleet. None if it flew another path after
+    that, which a person gave it from a hold on the way."""
+    sent_ns: int | None = None
+    for beat in _beats(log, flight):
+        if beat.message.mission == HOMEWARD:
+            sent_ns = beat.stamp_ns if sent_ns is None else sent_ns
+        elif beat.message.flight_s > 0.0:
+            sent_ns = None
+    return sent_ns
 
 
 def _planned_s(experiment: Experiment, beats: Sequence[StationHeartbeat]) -> float:
@@ -436,7 +451,10 @@ def poses_along(trajectory: Trajectory, along_s: Array) -> Array:
 
 
 def _reference(r: _Recorded, stamps: Array) -> Array:
-    """Reference pose of the robot at each stamp, (n, 4); NaN for a robot that had no part in the flight."""
+    """Pose (n, 4) on the robot's trajectory at each stamp (n,) in ns.
+
+    NaN where there was no reference: the robot did not fly, its clock is not in the log, or a person led it elsewhere.
+    """
     if r.trajectory is None or not r.flew:
         return np.full((len(stamps), 4), np.nan)
     clock_s = np.interp(stamps, r.clock_ns, r.clock_s)
@@ -444,17 +462,22 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     for trajectory_id in set(ids):
         trajectory, rows = r.others.get(trajectory_id, r.trajectory), ids == trajectory_id
         along_s = clock_s[rows] - trajectory.begin_s
-        covered = along_s >= -trajectory.period_s  # its beginning is left out where the whole is too long for a message
-        reference[np.flatnonzero(rows)[covered]] = poses_along(trajectory, along_s[covered])
-    if len(r.clock_ns) > 1:  # a clock is no more invented across a gap of the log than the truth is
-        after = np.clip(np.searchsorted(r.clock_ns, stamps), 1, len(r.clock_ns) - 1)
-        gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
-        inside = (stamps > r.clock_ns[after - 1]) & (stamps < r.clock_ns[after])
-        reference[inside & (gap_ns > LONGEST_GAP_S * 1e9)] = np.nan
-    reference[stamps < r.clock_ns[0] - LONGEST_GAP_S * 1e9] = np.nan  # it had not joined yet
-    reference[stamps > r.clock_ns[-1] + LONGEST_GAP_S * 1e9] = np.nan  # it was not heard again while it flew
-    reference[_led_away(r, stamps)] = np.nan
+        has_sample = along_s >= -trajectory.period_s  # a trajectory too long for a message comes without its beginning
+        reference[np.flatnonzero(rows)[has_sample]] = poses_along(trajectory, along_s[has_sample])
+    reference[~_clock_is_logged(r, stamps) | _led_away(r, stamps)] = np.nan
     return reference
+
+
+def _clock_is_logged(r: _Recorded, stamps: Array) -> Mask:
+    """True at the stamps at which the log holds the robot's clock, (n,): neither in a gap longer than LONGEST_GAP_S, nor by
+    more than that before the robot joined or after it was last heard."""
+    gap_ns = LONGEST_GAP_S * 1e9
+    logged = (stamps >= r.clock_ns[0] - gap_ns) & (stamps <= r.clock_ns[-1] + gap_ns)
+    if len(r.clock_ns) > 1:
+        after = np.clip(np.searchsorted(r.clock_ns, stamps), 1, len(r.clock_ns) - 1)
+        is_between = (stamps > r.clock_ns[after - 1]) & (stamps < r.clock_ns[after])
+        logged &= ~(is_between & (r.clock_ns[after] - r.clock_ns[after - 1] > gap_ns))
+    return np.asarray(logged)
 
 
 def _last_state(r: _Recorded, stamps: Array) -> NDArray[np.intp]:
@@ -463,13 +486,13 @@ def _last_state(r: _Recorded, stamps: Array) -> NDArray[np.intp]:
 
 
 def _trajectory_ids(r: _Recorded, stamps: Array) -> NDArray[np.str_]:
-    """Id of the trajectory that the robot was on at each stamp, (n,); empty before it said one."""
+    """Id of the trajectory that the robot was on at each stamp, (n,); empty before it reported one."""
     ids = np.array(["", *(e.message.trajectory_id for e in r.states)])
     return np.asarray(ids[_last_state(r, stamps) + 1])
 
 
 def _led_away(r: _Recorded, stamps: Array) -> Mask:
-    """True at the stamps at which a person led the robot elsewhere, or it held at a request, (n,)."""
+    """True at the stamps at which a person led the robot elsewhere, or it held its place at a person's request, (n,)."""
     held = np.array([e.message.mode is Mode.HOLDING and not e.message.fault for e in r.states], dtype=bool)
     away = held | ~r.with_formation
     if not away.any():

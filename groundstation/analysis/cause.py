@@ -6,6 +6,7 @@ fault that did not heal by itself, the station's reason for the end, the require
 
 import math
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,19 +14,21 @@ from groundstation.analysis.acceptance import went_all_the_way
 from groundstation.analysis.numbers import with_unit
 from groundstation.analysis.results import Cause, Check, Result
 from groundstation.analysis.series import Series, TimelineEvent
-from groundstation.analysis.timeline import INJECTED, STOOD_STILL, faults, is_injection
+from groundstation.analysis.timeline import ENDED, INJECTED, STOOD_STILL, faults, is_injection
 from shoal.messages.messages import Mode
 
 PASSED, FAILED, NOT_JUDGED = "passed", "failed", "not judged"
 PERSON = "a person"
 FAULTS = "faults"  # name of the check by which a run has none
+SENT_HOME = "RETURN asked for"
 ACTS = {  # the station's lines for what a person does to end a flight (groundstation/station/), and the same in words
     "STOP asked for": "pressed the emergency stop",
     "DISARM asked for": "disarmed the robots",
     "END asked for": "ended the run",
-    "RETURN asked for": "sent the fleet back to the start",
+    SENT_HOME: "sent the fleet back to the start",
     "interrupted: Ctrl-C in the terminal": "interrupted the program (Ctrl-C)",
 }
+GOES_ON = re.compile(r"(RESUME|PATH .*|FORMATION .*) asked for")  # the station's lines for a person who has a fleet fly on
 LED = re.compile(r"mission: .*\b(robot \d+): led by a person")  # the station's line for a robot that leaves the formation
 DONE = "mission: done"
 OVER = ("mission: aborting", "mission: failed")  # the station's lines for the end of a mission that failed
@@ -153,7 +156,14 @@ def _persons_act(series: Series) -> TimelineEvent | None:
     reports = [e for e in series.timeline_events if e.source == "groundstation" and begin_s <= e.time_s <= until_s]
     done_s = next((e.time_s for e in reports if e.text == DONE), math.inf) if series.started else math.inf
     leads = (e for e in reports if LED.match(e.text)) if done_s < math.inf else ()
-    return next((e for e in reports if e.text in ACTS and e.time_s < done_s), None) or next(iter(leads), None)
+    acts = (e for e in reports if e.text in ACTS and e.time_s < done_s and not _was_called_off(e, reports, series))
+    return next(acts, None) or next(iter(leads), None)
+
+
+def _was_called_off(act: TimelineEvent, reports: Sequence[TimelineEvent], series: Series) -> bool:
+    """True for a return that was not flown to its end, and after which somebody had the fleet fly on."""
+    returns = act.text == SENT_HOME and series.sent_home_s is None
+    return returns and any(e.last_s > act.time_s and GOES_ON.fullmatch(e.text) for e in reports)
 
 
 def _lasted_until(fault: TimelineEvent, act: TimelineEvent, series: Series) -> bool:
@@ -193,9 +203,16 @@ def _injected_before(fault: TimelineEvent, series: Series) -> str:
 
 
 def _injected(series: Series, until_s: float = math.inf) -> list[str]:
-    """Injections of the simulator up to a time, or the flight's end, each with its own time."""
+    """Injections of the simulator up to a time, or the flight's end, each with its own time; without those that were over
+    before the flight."""
     until_s = min(until_s, series.ended_s) if series.started else until_s
-    injections = [e for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED) and e.time_s <= until_s]
+    events = [e for e in series.timeline_events if is_injection(e) and e.time_s <= until_s]
+
+    def was_over(event: TimelineEvent) -> bool:
+        over = ENDED + event.text.removeprefix(INJECTED)
+        return series.started and any(e.text == over and event.time_s <= e.time_s < 0.0 for e in events)
+
+    injections = [e for e in events if e.text.startswith(INJECTED) and not was_over(e)]
     return [f"{e.text.removeprefix(INJECTED)} {_when(e, series)}" for e in injections]
 
 
@@ -223,8 +240,8 @@ def _stations_reason(series: Series) -> TimelineEvent | None:
 
 
 def _excess(check: Check) -> float:
-    """Ratio by which a requirement is missed; infinite where the figure is missing."""
+    """Ratio by which a requirement is missed (1: just met); infinite where the figure is missing."""
     if check.value is None:
         return math.inf
-    one, other = (check.limit, check.value) if check.at_least else (check.value, check.limit)
-    return one / other if other > 0.0 else math.inf
+    larger, smaller = (check.limit, check.value) if check.at_least else (check.value, check.limit)
+    return larger / smaller if smaller > 0.0 else math.inf

@@ -316,7 +316,7 @@ def _fields(errors: Errors) -> dict[str, Any]:
 
 
 def _article(series: Series, subject: str) -> ArticleRow | None:
-    """The article's errors of a robot or a pair; None for a flight on another path than the article's."""
+    """The article's errors of a robot or a pair; None for a flight on another path, or in another form, than the article's."""
     rows = () if series.other_path else series.experiment.article
     return next((row for row in rows if row.subject == subject), None)
 

@@ -152,7 +152,7 @@ class Series:
     end_s: float  # of the evaluation
     started: bool  # at least one robot flew
     reached_s: float  # along the trajectory, by the slowest robot, without the way home
-    other_path: bool  # the path flown was another experiment's
+    other_path: bool  # a person gave another path, form or way than the experiment's
     planned_s: float  # end of the flight along its trajectory as planned: the experiment's, or that of a path loaded later
     asked_s: float  # along the trajectory, what was to be flown: the same, or less where the path was over
     ended_s: float  # of the flight: its log goes on so long, also after the evaluation

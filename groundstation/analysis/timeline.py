@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from groundstation.analysis.series import TimelineEvent
 
-SAME_S = 1.0  # a robot's state and its agent's words about it come within this time
-REPEATED_S = 5.0  # a line that comes again within this time goes on
+SAME_S = 1.0  # within this time a robot's state and its agent's line are about one event
+REPEATED_S = 5.0  # within this time a line that comes again is the same event, which goes on
 CONFIRMED_BY = {"ARM": "armed", "START": "tracking", "HOLD": "holding", "STOP": "stopped", "DISARM": "disarmed"}
 REMARK, TAG = "remark: ", re.compile(r"(?<!\S)#([\w-]+)")  # how the station tells a person's line
 STOOD_STILL = "process stood still for "  # what a log shows of a computer that sleeps, or has no memory left
@@ -15,9 +15,9 @@ INJECTED, ENDED = "fault: ", "fault over: "  # how the simulator tells what it b
 
 
 def once(events: Iterable[TimelineEvent]) -> tuple[TimelineEvent, ...]:
-    """The events in order of time, each once. Left out are an agent's words for a mode that its states show, and replies
-    that such a mode confirms. A line that repeats is one event with its number and last time; what comes from the flight's
-    beginning on, at 0, is another event than the same before."""
+    """The events in order of time, each once. Left out are an agent's lines about a mode that its states show, and replies
+    that such a mode confirms. A line that repeats is one event with its number and last time; from the flight's beginning on,
+    at 0, it is another event than before."""
     named = [replace(event, source=_source(event.source)) for event in events]
     kept: list[TimelineEvent] = []
     latest: dict[tuple[str, str, bool], int] = {}  # place in `kept` of the latest event with these words
@@ -47,7 +47,7 @@ def once(events: Iterable[TimelineEvent]) -> tuple[TimelineEvent, ...]:
 
 
 def faults(events: Sequence[TimelineEvent]) -> tuple[TimelineEvent, ...]:
-    """The events that should not have been, without the station's words about those of others."""
+    """The faults among the events. A reaction of the station's mission is left out when another fault came before it."""
     all_faults = [e for e in events if e.fault]
     causes_s = [e.time_s for e in all_faults if not _is_reaction(e)]
     return tuple(e for e in all_faults if not (_is_reaction(e) and any(time_s <= e.time_s for time_s in causes_s)))
@@ -65,15 +65,17 @@ def tags(events: Iterable[TimelineEvent]) -> tuple[str, ...]:
 
 
 def _source(name: str) -> str:
-    """An agent speaks for its robot."""
+    """The source under which an event is listed: an agent's is its robot."""
     return f"robot {name.removeprefix('agent-')}" if name.startswith("agent-") else name
 
 
 def _is_reaction(event: TimelineEvent) -> bool:
+    """True for a line of the station's mission, which reacts to faults of others."""
     return event.source == "groundstation" and event.text.startswith("mission")
 
 
 def _confirmation(event: TimelineEvent) -> tuple[str, str]:
-    """The robot and the mode that shows that an order was accepted."""
+    """Source and mode of the event that confirms an accepted order: the robot's new mode. The mode is empty for any other
+    event."""
     order, _, outcome = event.text.partition(": ")
     return event.source, CONFIRMED_BY.get(order, "") if outcome == "accepted" else ""

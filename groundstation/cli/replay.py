@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # the page's server takes a second to import
     from shoal.runtime.web_access import WebOptions
 
 CLOSED_S = 6.0  # without an open page; one that is cut off or loaded again is back within 4 s
-RETURN_S = 15.0  # for a page that was open to come the first time; one in a hidden tab tries more rarely
+RETURN_S = 75.0  # for a page that was open to come the first time: Chromium wakes one in a hidden tab once a minute
 
 
 def replay(

@@ -103,6 +103,7 @@ def _name(common_name: str) -> x509.Name:
 
 
 def _general_name(host: str) -> x509.GeneralName:
+    """A host's name or address as a certificate has it."""
     try:
         return x509.IPAddress(ip_address(host))
     except ValueError:

@@ -18,6 +18,7 @@ import tomli_w
 from groundstation.deploy import certificate_authority
 from groundstation.deploy.certificate_authority import KeyPair
 from shoal.bus.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
+from shoal.config import LARGEST_ROBOT
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages.topics import Role, process_name
 from shoal.runtime.output_files import replacing, replacing_folder
@@ -74,8 +75,10 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = certific
     """A certificate for one process, in a folder of its name. An earlier one of that process no longer counts."""
     if role not in ROLE_NAMES:
         raise ConfigError(f"{role!r} is no role (allowed: {', '.join(ROLE_NAMES)})")
-    if (ROLE_NAMES[role] is Role.ROBOT) != (robot != 0) or not 0 <= robot <= 999:
-        raise ConfigError(f"{role} {robot or ''}".rstrip() + ": a robot needs its number, 1 to 999; other roles have none")
+    if (ROLE_NAMES[role] is Role.ROBOT) != (robot != 0) or not 0 <= robot <= LARGEST_ROBOT:
+        raise ConfigError(
+            f"{role} {robot or ''}".rstrip() + f": a robot needs its number, 1 to {LARGEST_ROBOT}; other roles have none"
+        )
     longest = certificate_authority.AUTHORITY_YEARS * 365
     if not 0.0 < days <= longest:
         raise ConfigError(f"--days {days:g}: no time for a certificate (allowed: up to {longest} days)")
@@ -150,6 +153,7 @@ def _without(members: MemberList, process: str, now: datetime) -> MemberList:
 
 
 def _authority(ring: Path) -> KeyPair:
+    """Certificate and private key of the ring's authority. Raises ConfigError if one is missing."""
     with os_errors_as_config_errors(ring):
         for path in (ring / CA, ring / AUTHORITY_KEY):
             if not path.is_file():

@@ -46,7 +46,7 @@ class Probe:
 
 
 def parse_target(text: str) -> Target:
-    """[USER@]HOST=ROBOT. Raises ConfigError."""
+    """Parse a board's address and robot, [USER@]HOST=ROBOT. Raises ConfigError."""
     host, equals, robot = text.rpartition("=")
     # A host that begins with a dash would be an option to ssh.
     if not equals or not re.fullmatch(r"[A-Za-z0-9_][\w.@:-]*", host) or not robot.isdecimal() or not 0 < int(robot) < 1000:
@@ -55,7 +55,7 @@ def parse_target(text: str) -> Target:
 
 
 def parse_targets(texts: Sequence[str]) -> tuple[Target, ...]:
-    """All of them, each robot once."""
+    """Parse several boards, each [USER@]HOST=ROBOT. Raises ConfigError if a robot or a board is named twice."""
     targets = tuple(map(parse_target, texts))
     for values, what in (([str(t.robot) for t in targets], "robot"), ([t.host for t in targets], "board")):
         doubled = [v for v in values if values.count(v) > 1]
@@ -73,6 +73,8 @@ def check_home(home: str) -> None:
 PROBE = (  # behind templates/armed.sh; {ports} is a folder, {device} the link's serial port
     "uname -m; python3 -c 'import sys, venv, ensurepip; print(\"%d.%d\" % sys.version_info[:2])' 2>/dev/null || echo none; "
     "armed | sed 's/^/agent /'; ls {ports} 2>/dev/null | sed 's/^/port /'; [ ! -e {device} ] || echo device there; "
+    "there={home}; while [ ! -e $there ]; do there=$(dirname $there); done; "
+    "[ -d $there ] && [ -w $there ] || echo closed {home} $(id -un); "
     "cat {home}/manifest 2>/dev/null || true"
 )
 
@@ -87,6 +89,12 @@ def read_probe(host: str, answer: str) -> Probe:
     if tuple(map(int, python.split("."))) < OLDEST_PYTHON:
         raise ConfigError(f"{host}: Python {python}, needs {'.'.join(map(str, OLDEST_PYTHON))} or newer")
     facts = dict(line.split(" ", 1) for line in manifest if " " in line)
+    if "closed" in facts:
+        home, _, user = facts["closed"].partition(" ")
+        raise ConfigError(
+            f"{host}: {user} may not write {home} there (allowed: another --home; "
+            f"or once, on the board: sudo install -d -o {user} -m 755 {home})"
+        )
     parts = {part: facts[part] for part in PARTS if part in facts}
     ports = tuple(line.removeprefix("port ") for line in manifest if line.startswith("port "))
     return Probe(machine, python, parts, facts.get("agent", ""), "restart" in facts, ports, "device" in facts)

@@ -94,6 +94,7 @@ def deploy_all(targets: Sequence[Target], request: DeployRequest) -> Iterable[Ta
 
 
 def _tried(target: Target, request: DeployRequest) -> TargetResult:
+    """Deploy to one board. An error becomes its result, so that the other boards still get theirs."""
     try:
         return deploy_one(target, request)
     except (ConfigError, OSError) as error:  # a file here that cannot be read is no reason to say nothing of the other boards

@@ -138,6 +138,7 @@ def upright(stamp_ns: int) -> FrameTransform:
 
 
 def _entity(scene: SceneUpdate, name: str, stamp_ns: int, lasting: bool = False) -> SceneEntity:
+    """Add an entity of the scene, in the pool frame. It vanishes after GONE_NS without a new one, unless it is `lasting`."""
     entity = scene.entities.add(frame_id=POOL_FRAME, id=name)
     entity.timestamp.FromNanoseconds(stamp_ns)
     if not lasting:

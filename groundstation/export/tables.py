@@ -248,6 +248,8 @@ def _cell_reader(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:
 
 
 def _entry(name: str, k: int | None = None) -> Callable[[Any, int], Any]:
+    """A function from a message and a row to an entry of the message's list `name`: the `k`-th one, or the row's own."""
+
     def cell(message: Any, row: int) -> Any:
         values, place = getattr(message, name), row if k is None else k
         return values[place] if place < len(values) else None
@@ -265,6 +267,8 @@ def _text(name: str) -> Callable[[Any, int], Any]:
 
 
 def _within(name: str, column: TableColumn) -> Callable[[Any, int], Any]:
+    """A function from a message and a row to a column's cell in the message's part `name`; None without that part."""
+
     def cell(message: Any, row: int) -> Any:
         inner = getattr(message, name)
         return None if inner is None else column.cell(inner, row)

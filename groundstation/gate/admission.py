@@ -95,20 +95,21 @@ class Tokens:
     def __post_init__(self) -> None:
         self.level = self.burst
 
-    def left(self, now_s: float) -> float:
-        """The number of tokens now."""
+    def refill(self, now_s: float) -> float:
+        """Add the tokens since the last call, and return their number now."""
         if now_s > self.at_s:
-            self.level = min(self.burst, self.level + self.per_s * min(now_s - self.at_s, self.burst / self.per_s * 2))
+            longest_s = 2.0 * self.burst / self.per_s  # fills even an overdrawn bucket; before the first call lies infinity
+            self.level = min(self.burst, self.level + self.per_s * min(now_s - self.at_s, longest_s))
             self.at_s = now_s
         return self.level
 
     def add(self, count: float, now_s: float) -> None:
         """Give tokens back, or take some (negative)."""
-        self.level = max(min(self.left(now_s) + count, self.burst), -self.burst)
+        self.level = max(min(self.refill(now_s) + count, self.burst), -self.burst)
 
     def next_s(self, now_s: float) -> float:
         """The time of the next whole token, in s."""
-        return now_s + max(1.0 - self.left(now_s), 0.0) / self.per_s
+        return now_s + max(1.0 - self.refill(now_s), 0.0) / self.per_s
 
 
 @dataclass
@@ -224,7 +225,7 @@ class Admission:
             self._proven_origins.popitem(last=False)
 
     def ended(self, connection: int, by_router: bool, now_s: float) -> bool:
-        """A connection at the router has ended. Returns whether its handshake counts as failed."""
+        """Forget a connection to the router that has ended. Returns whether its handshake counts as failed."""
         attempt = self._tries.pop(connection)
         self._origins[attempt.origin].links -= 1
         if attempt.expelled:
@@ -237,8 +238,9 @@ class Admission:
             return True
         return False
 
-    def expelled(self, connection: int, now_s: float) -> None:
-        """The router does not want a member's connection, which counts as a handshake that failed. Then call `ended`."""
+    def expel(self, connection: int, now_s: float) -> None:
+        """Count a connection that the router's side has refused after its handshake as one that failed. Its origin is no
+        longer known, unless it has another proven connection. The caller then closes it, and calls `ended`."""
         attempt = self._tries[connection]
         if attempt.proven:
             self._give(attempt, -1.0, now_s)
@@ -249,12 +251,13 @@ class Admission:
             self._proven_origins.pop(attempt.origin, None)
 
     def _settle(self, connection: int, attempt: HandshakeAttempt) -> None:
-        """A handshake is no longer under way."""
+        """Count a handshake as no longer under way."""
         del self._unproven[connection]
         self._lanes[attempt.lane].trying -= 1
         self._origins[attempt.origin].trying -= 1
 
     def _give(self, attempt: HandshakeAttempt, count: float, now_s: float) -> None:
+        """Give tokens back to an attempt's lane and origin, or take some (negative)."""
         self._lanes[attempt.lane].tokens.add(count, now_s)
         if attempt.origin in self._origins:
             self._origins[attempt.origin].tokens.add(count, now_s)
@@ -288,7 +291,7 @@ class Admission:
         token of each."""
         room = lane.trying < MOST_TRYING and origin.trying < MOST_TRYING_EACH
         room = room and origin.links < MOST_LINKS_EACH and len(self._tries) < self._most_links
-        return room and lane.tokens.left(now_s) >= 1.0 and origin.tokens.left(now_s) >= 1.0
+        return room and lane.tokens.refill(now_s) >= 1.0 and origin.tokens.refill(now_s) >= 1.0
 
     def _begin_handshake(self, connection: int, lane: int, now_s: float) -> int:
         """Begin a handshake on a free lane."""
@@ -310,7 +313,7 @@ class Admission:
             due_s += [_oldest_s(origin.silent) + HELLO_S, _oldest_s(origin.ready) + TURN_S]
             if origin.ready:
                 buckets = (origin.tokens, self._lanes[KNOWN if name in self._proven_origins else NEW].tokens)
-                if min(tokens.left(now_s) for tokens in buckets) < 1.0:  # else a slot is awaited, and that is an event
+                if min(tokens.refill(now_s) for tokens in buckets) < 1.0:  # else a slot is awaited, and that is an event
                     due_s.append(max(tokens.next_s(now_s) for tokens in buckets))
         return min(due_s)
 

@@ -99,6 +99,7 @@ class Pump:
                 self.sink.shutdown(socket.SHUT_WR)
 
     def _send(self, data: bytes | memoryview) -> int:
+        """Send bytes to the sink. Returns how many it took. Raises PeerClosed if it has gone."""
         try:
             return self.sink.send(data)
         except BlockingIOError:
@@ -124,19 +125,20 @@ class Guard:
     """The guard's event loop."""
 
     def __init__(self, listener: socket.socket, ports: tuple[int, int], tell: Callable[[str], None], most_links: int) -> None:
-        """`ports`: the router's loopback ports, of the lane of new origins and of known ones. `tell` takes a sentence."""
+        """Accept connections of `listener`. `ports`: the router's loopback ports, of the lane of new origins and of known
+        ones. `tell` takes a sentence for the station. `most_links`: connections to the router at a time."""
         self._ports, self._tell = ports, tell
         self._admission, self._refusals = Admission(most_links), Refusals()
         self._selector = selectors.DefaultSelector()
         self._interest: dict[socket.socket, int] = {}  # events for which a socket is registered
         self._peers: dict[int, tuple[socket.socket, str]] = {}  # all connections, with their address
-        self._hellos: dict[int, list[bytes]] = {}  # of those that wait, as far as it has come, in the pieces it came in
+        self._hellos: dict[int, list[bytes]] = {}  # of connections that wait: pieces of the ClientHello that have come
         self._links: dict[int, ProxiedConnection] = {}
         self._at_router: dict[int, int] = {}  # number of each link, by the port from which it reaches the router
-        self._unwanted = b""  # of the ports on the watched descriptor: what has come of the next
+        self._unwanted = b""  # begin of the next line on the watched descriptor: the port of a connection to end
         self._number = 0
         self._buffer = bytearray(CHUNK)
-        self._look_s = float("inf")  # when the admission is to be asked again
+        self._next_deadline_s = float("inf")  # when `_serve_deadlines` is due; 0: at once
         self._ending = False
         listener.setblocking(False)
         self._listener = listener
@@ -163,22 +165,22 @@ class Guard:
         for line in lines:
             number = self._at_router.get(int(line)) if line.isdigit() else None
             if number is not None:
-                self._admission.expelled(number, time.monotonic())
+                self._admission.expel(number, time.monotonic())
                 self._drop(number)
 
     def _ignore(self, events: int) -> None:
-        """Called for none: of a socket that is not looked at."""
+        """The callback of a socket that is watched for no events: never called."""
 
     def run(self) -> None:
         """Carry bytes until the watched process ends."""
         while not self._ending:
-            next_s = min(self._look_s, self._listens_s)
+            next_s = min(self._next_deadline_s, self._listens_s)
             wait_s = None if next_s == float("inf") else max(next_s - time.monotonic(), 0.0)
             for key, events in self._selector.select(wait_s):
                 key.data(events)
             if time.monotonic() >= self._listens_s:
                 self._listen_again()
-            if self._look_s != float("inf") and time.monotonic() >= self._look_s:
+            if self._next_deadline_s != float("inf") and time.monotonic() >= self._next_deadline_s:
                 self._serve_deadlines()
 
     def close(self) -> None:
@@ -189,8 +191,8 @@ class Guard:
             self._close(number)
         self._selector.close()
 
-    def _want(self, one: socket.socket, events: int, call: Callable[[int], None]) -> None:
-        """Have `call` called for these events of a socket; for none of them with 0."""
+    def _set_events(self, one: socket.socket, events: int, call: Callable[[int], None]) -> None:
+        """Have `call` called for these events of a socket from now on; for none with `events` 0."""
         before = self._interest.get(one, 0)
         if events == before:
             return
@@ -203,6 +205,7 @@ class Guard:
         self._interest[one] = events
 
     def _shut(self, one: socket.socket) -> None:
+        """Stop watching a socket, and close it."""
         if self._interest.pop(one, 0):
             self._selector.unregister(one)
         one.close()
@@ -223,10 +226,10 @@ class Guard:
             self._number += 1
             number, address = self._number, str(where[0])
             self._peers[number], self._hellos[number] = (peer, address), []
-            self._want(peer, READ, lambda events, number=number: self._greeted(number))  # type: ignore[misc]
+            self._set_events(peer, READ, lambda events, number=number: self._greeted(number))  # type: ignore[misc]
             for other in self._admission.come(number, address, time.monotonic()):
                 self._refuse(other, RefusalReason.CROWDED)
-            self._look_s = 0.0
+            self._next_deadline_s = 0.0
 
     def _greeted(self, number: int) -> None:
         """Read what a waiting connection has sent. Its hello goes to admission once it is whole; a connection that has ended,
@@ -238,7 +241,7 @@ class Guard:
             if hello_is_whole(b"".join(self._hellos[number])):  # it waits for its turn: is it still there?
                 if not peer.recv(1, socket.MSG_PEEK):
                     raise NotTls
-                self._want(peer, 0, self._ignore)  # what it says before the router's answer is read after it
+                self._set_events(peer, 0, self._ignore)  # what it says before the router's answer is read after it
                 return
             data = peer.recv(2 * MOST_HELLO)
             self._hellos[number].append(data)
@@ -250,17 +253,17 @@ class Guard:
             return
         except (OSError, NotTls):
             self._admission.gone(number)
-            self._refuse(number, self._waited(number))
-        self._look_s = 0.0
+            self._refuse(number, self._reason_to_refuse(number))
+        self._next_deadline_s = 0.0
 
     def _serve_deadlines(self) -> None:
-        """Close what is overdue, pass on whose turn it is, tell whom was refused."""
+        """Close connections that are overdue, connect those whose turn it is to the router, report refusals to the station."""
         now_s = time.monotonic()
         for number in self._admission.overdue(now_s):
             if number in self._links:
                 self._drop(number)
             else:
-                self._refuse(number, self._waited(number))
+                self._refuse(number, self._reason_to_refuse(number))
         for number in [number for number, link in self._links.items() if link.until_s <= now_s]:
             self._drop(number)
         for number, lane in self._admission.turns(now_s):
@@ -268,15 +271,15 @@ class Guard:
         for sentence in self._refusals.due_sentences(now_s):
             self._tell(sentence)
         ends_s = min((link.until_s for link in self._links.values()), default=float("inf"))
-        self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s(), ends_s)
+        self._next_deadline_s = min(self._admission.next_s(now_s), self._refusals.next_s(), ends_s)
 
-    def _waited(self, number: int) -> RefusalReason:
-        """The reason to refuse a connection that waits: no turn came, or it has not said what a member says first."""
+    def _reason_to_refuse(self, number: int) -> RefusalReason:
+        """The reason to refuse a connection that waits: its hello is whole, but no turn came; or it has sent no TLS hello."""
         try:
-            waits = hello_is_whole(b"".join(self._hellos[number]))
+            has_hello = hello_is_whole(b"".join(self._hellos[number]))
         except NotTls:
-            waits = False
-        return RefusalReason.CROWDED if waits else RefusalReason.NO_TLS
+            has_hello = False
+        return RefusalReason.CROWDED if has_hello else RefusalReason.NO_TLS
 
     def _refuse(self, number: int, reason: RefusalReason) -> None:
         """Close a connection that was not passed on."""
@@ -293,7 +296,7 @@ class Guard:
     def _connect_to_router(self, number: int, lane: int) -> None:
         """Connect a peer that was admitted to the router, by the inner port of its lane."""
         peer, _ = self._peers[number]
-        self._want(peer, 0, self._ignore)
+        self._set_events(peer, 0, self._ignore)
         router = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         router.setblocking(False)
         router.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, INNER_BUFFER)
@@ -303,7 +306,7 @@ class Guard:
         router.connect_ex(("127.0.0.1", self._ports[lane]))
         link.port = router.getsockname()[1]
         self._at_router[link.port] = number
-        self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
+        self._set_events(router, READ | WRITE, lambda events: self._from_router(link, events))
 
     def _from_router(self, link: ProxiedConnection, events: int) -> None:
         """Act on events of a connection's socket to the router: carry bytes, judge the peer, drop the connection if it has
@@ -346,10 +349,11 @@ class Guard:
         self._choose_events(link)
 
     def _judge(self, link: ProxiedConnection) -> None:
+        """Note that a peer is proven, once the router has sent ANSWER_BYTES after as much as a certificate came from it."""
         if link.claimed_at is not None and link.down.passed - link.claimed_at >= ANSWER_BYTES:
             link.proven = True
             self._admission.proven(link.number, time.monotonic())
-            self._look_s = 0.0
+            self._next_deadline_s = 0.0
 
     def _choose_events(self, link: ProxiedConnection) -> None:
         """Choose for which events both sockets are watched next. End a link that the router has ended, also when its peer is
@@ -358,12 +362,17 @@ class Guard:
         if down.over:
             self._drop(link.number)
             return
-        if down.waiting and link.until_s == float("inf"):  # meanwhile the router is not read, and its end not seen
+        # A peer that does not read keeps the router from being read, whose end would then go unnoticed: it has STALLED_S.
+        if down.waiting and link.until_s == float("inf"):
             link.until_s = time.monotonic() + STALLED_S
-            self._look_s = min(self._look_s, link.until_s)
-        self._want(down.source, down.wanted | (WRITE if up.waiting else 0), lambda events: self._from_router(link, events))
+            self._next_deadline_s = min(self._next_deadline_s, link.until_s)
+        self._set_events(
+            down.source, down.wanted | (WRITE if up.waiting else 0), lambda events: self._from_router(link, events)
+        )
         if down.passed:
-            self._want(up.source, up.wanted | (WRITE if down.waiting else 0), lambda events: self._from_peer(link, events))
+            self._set_events(
+                up.source, up.wanted | (WRITE if down.waiting else 0), lambda events: self._from_peer(link, events)
+            )
 
     def _drop(self, number: int) -> None:
         """End a connection at the router."""
@@ -373,7 +382,7 @@ class Guard:
         if self._admission.ended(number, link.by_router, time.monotonic()):
             self._refusals.note(self._peers[number][1], RefusalReason.NO_CERTIFICATE)
         self._close(number)
-        self._look_s = 0.0
+        self._next_deadline_s = 0.0
 
 
 def most_links() -> int:

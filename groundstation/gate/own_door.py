@@ -69,6 +69,7 @@ def _read_request(read: Callable[[int], bytes], head: struct.Struct) -> list[byt
 
 
 def _whole(read: Callable[[int], bytes], size: int) -> bytes:
+    """Read exactly `size` bytes. Raises EOFError if there are fewer."""
     data = read(size)
     if len(data) < size:
         raise EOFError

@@ -33,6 +33,7 @@ def _warn_of(folder: str) -> None:
 
 
 def _candidates() -> tuple[Path, ...]:
+    """Folders in which this user's programs may meet, the best one first."""
     user = os.geteuid()
     own, temporary = (os.environ.get(name, "") for name in ("XDG_RUNTIME_DIR", "TMPDIR"))
     folders = [Path(own) / "shoal"] if Path(own).is_absolute() else []

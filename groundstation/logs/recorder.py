@@ -318,6 +318,7 @@ class Recorder:
         self._output.sync()
 
     def _fail(self, reason: str) -> None:
+        """End the log for a reason: messages that wait are dropped and counted, and the file is cut to what is whole."""
         with self._lock:
             self._error = f"log stopped: {reason}"
             self._dropped += len(self._pending)
@@ -325,6 +326,7 @@ class Recorder:
         self._finish_file(self._output.cut)
 
     def _finish_file(self, do: Callable[[], None]) -> None:
+        """Do the last thing with the file. An error of the disk becomes the log's, if it has none yet."""
         try:
             do()
         except OSError as error:

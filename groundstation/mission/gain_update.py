@@ -155,8 +155,10 @@ class GainUpdater:
 
     # --- the station's cycle
 
-    def step(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> tuple[Command, ...]:
-        """Do one cycle; returns the commands to send now."""
+    def step(
+        self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int, laps: FlownLaps | None = None
+    ) -> tuple[Command, ...]:
+        """Do one cycle; returns the commands to send now. `laps`: of the path that is flown now; None: they have not moved."""
         change = self._change
         if change is None:
             return self._update_returned(fleet, now_ns)
@@ -180,7 +182,7 @@ class GainUpdater:
         elif all(_flies_with(fleet, robot, change) for robot in change.robots):
             self._succeed(change)
         elif self._stage is GainStage.WAITING:
-            return self._watch(change, fleet, now_ns)
+            return self._watch(change, fleet, now_ns, laps)
         elif now_ns - self._since_ns > (PATIENCE_S + START_IN_S) * 1e9:
             late = [str(robot) for robot in change.robots if not _flies_with(fleet, robot, change)]
             return self._give_up(f"robot {', '.join(late)} did not change over", fleet, now_ns)
@@ -212,14 +214,19 @@ class GainUpdater:
             self._config, self._flown = change.config, change.message
         self._change, self._stage = None, GainStage.IDLE
 
-    def _watch(self, change: _Change, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+    def _watch(self, change: _Change, fleet: Fleet, now_ns: int, laps: FlownLaps | None) -> tuple[Command, ...]:
         """Wait for the lap. Gives the change up if a robot is disarmed, stopped or silent meanwhile, as it has forgotten the
-        set, or if the lap does not begin for all robots."""
+        set, if the lap does not begin for all robots, or if a new plan has moved it."""
         flying = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
         leavers = [r for r in change.robots if fleet[r].mode not in flying or fleet[r].state_age_s > PATIENCE_S]
         if leavers:
             return self._give_up(f"robot {', '.join(map(str, leavers))} left the run before the lap began", fleet, now_ns)
         late = [r for r in change.robots if not _flies_with(fleet, r, change)]
+        is_moved = laps is not None and not laps.begins_at(change.trajectory_s)
+        if is_moved and len(late) == len(change.robots):
+            commands = self._give_up("", fleet, now_ns)  # robots are to forget the set
+            self._reason = "a new plan has moved the lap: nothing was changed"
+            return commands
         if change.begun_ns is None and len(late) < len(change.robots):
             change.begun_ns = now_ns
         if change.begun_ns is not None and now_ns - change.begun_ns > PATIENCE_S * 1e9:

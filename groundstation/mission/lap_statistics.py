@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from shoal.messages.messages import RobotState
 
+EXACT_S = 1e-3  # between two beginnings of a lap that are the same, but for rounding
 KEPT = 12  # rows, the newest: as many as the page shows
 BACK_S = 5.0  # after a hold a robot goes on a little further back, with the slowest; further back than this is another run
 
@@ -18,10 +19,17 @@ class FlownLaps:
     path_s: float = 0.0  # beginning of the first
     end_s: float = math.inf  # of the path
     flight: int = 0  # another path, or another run, has another number
+    goes_on_s: float = 0.0  # before that robots are on their way into place: path_s counts from here on
 
     def number(self, clock_s: float) -> int:
-        """Number of the lap, from 1; robots on their way into place are before it. 0 on a path that has none."""
-        return max(math.floor((clock_s - self.path_s) / self.lap_s), 0) + 1 if self.lap_s else 0
+        """Number of the lap, from 1. Robots on their way into place are in the lap in which they fly on. 0 on a path that has
+        none."""
+        flown_s = max(clock_s, self.goes_on_s) - self.path_s
+        return max(math.floor(flown_s / self.lap_s), 0) + 1 if self.lap_s else 0
+
+    def begins_at(self, clock_s: float) -> bool:
+        """True if a lap begins at this instant of the clock."""
+        return self.number(clock_s + EXACT_S) != self.number(clock_s - EXACT_S)
 
     def next_s(self, clock_s: float) -> float:
         """Beginning of the next lap of a path that has some."""

@@ -72,6 +72,7 @@ ATTENDED = "a person attends, and has to start it"  # an automatic mission, once
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 # States before anybody flies, in which the loss of a robot that was armed ends what was asked for.
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING, MissionState.TEST_ARMING})
+RUN = UNDER_WAY - AT_REST | {MissionState.ENDING, MissionState.ABORTING}  # from the first command to the last robot's rest
 BEFORE_FLIGHT = frozenset({MissionState.ARMING, MissionState.REARMING})  # armed robots are sent off next, if they may fly then
 OTHER_FLIGHTS = (CommandKind.FORMATION, CommandKind.PATH)
 # Requests whose refusal people see before they ask. Not those that make robots safe: they are asked for at any time.
@@ -159,10 +160,10 @@ class Mission:
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
         self._awaits_operator = False  # a person took a hand in it, or only a person can tell how to go on
-        self._form = ""  # that a FORMATION asked for and that is not flown yet
+        self._form = ""  # that a FORMATION asked for, and that the present segment does not have yet
         self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
-        # How the last flight ended that was asked for by START, or by nobody in an automatic mission, and how the way to it if
-        # nobody flew. None while it is under way, or before the first
+        # How the last flight ended that was asked for by START, by a PATH in place of the way home, or by nobody in an
+        # automatic mission, and how the way to it if nobody flew. None while it is under way, or before the first
         self.verdict: MissionState | None = None
 
     @property
@@ -248,7 +249,8 @@ class Mission:
             self.plans.target_form(context.text)
         elif order is CommandKind.PATH:
             self.plans.target_flight(context.other_flight)
-            self._run.homeward = False
+            if self._run.homeward:  # a flight of its own, in place of the way home
+                self._run.homeward, self.verdict = False, None
         if order in (CommandKind.RETURN, CommandKind.REJOIN, *OTHER_FLIGHTS):
             self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
         if order is CommandKind.HOLD:
@@ -318,7 +320,7 @@ class Mission:
         from_rest = order in (CommandKind.RETURN, *OTHER_FLIGHTS) and self.state in AT_REST
         roster = Roster(self._experiment.robot_ids, self.segment, self.roster.out) if from_rest else self.roster
         transfer = self.segment.is_separate(self.plans.progress_s)
-        return replace(self._context(fleet, roster, via), text=text, transfer=transfer)
+        return replace(self._context(fleet, roster, via), text=text, transfer=transfer, homeward=self._awaits_return)
 
     def _context(self, fleet: Fleet, roster: Roster | None = None, via: Sequence[tuple[float, float]] = ()) -> RequestContext:
         planning = self.state in AT_REST and self.plans.request is not None
@@ -377,7 +379,8 @@ class Mission:
         if self.state in IN_FLIGHT | JOINING and (foreign := foreign_poses(self._experiment, fleet, self.roster.active)):
             self._go(MissionEvent.FOREIGN_POSES, now_ns)
             self.reason = foreign
-        if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active and not self._awaits_return:
+        holds_its_progress = self.state is MissionState.PAUSED and not self._awaits_return
+        if (self.state in IN_FLIGHT or holds_its_progress) and self.roster.active:
             self._check_flight(fleet, now_ns)
         self._govern(fleet, elapsed_s, now_ns)
         return self._commands(fleet, now_ns) + self._command_others(fleet, now_ns)
@@ -801,6 +804,7 @@ class Mission:
         elif self.state is MissionState.HALTING:
             if isinstance(outcome, PlanSegment):
                 self.plans.adopt(outcome, request.flight if request is not None else None)
+                self._form = ""  # taken once more, a turn would be twice as far
                 self._go(MissionEvent.PLANNED, now_ns)
             else:
                 self._drop_disarmed(fleet)
@@ -865,7 +869,8 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
-        if state in TERMINAL and self.verdict is None:  # else a test, a cleared stop, a DISARM or a way home after that
+        ends = state in TERMINAL or (state is MissionState.STOPPED and self.state in RUN)
+        if ends and self.verdict is None:  # else a test, a cleared stop, a DISARM or a way home after that
             self.verdict = state
         elif state is MissionState.STARTING:
             self.verdict = None

@@ -44,6 +44,7 @@ class RequestContext:
     text: str = ""  # of a FORMATION the form, of a PATH the experiment
     planning: bool = False  # a plan for robots at rest is being made
     transfer: bool = False  # robots fly separate transfers now
+    homeward: bool = False  # they are to return to the start, and have no plan for it yet
 
     @cached_property
     def other_flight(self) -> Experiment:
@@ -144,7 +145,7 @@ def _blind(context: RequestContext) -> str:
 
 
 def _returns(context: RequestContext) -> str:
-    returns = context.segment.is_return and context.state not in AT_REST
+    returns = (context.segment.is_return or context.homeward) and context.state not in AT_REST
     return "the robots are on their way back to the start, each on its own" if returns else ""
 
 
@@ -237,7 +238,7 @@ OBJECTIONS: Mapping[CommandKind, tuple[Check, ...]] = {
     CommandKind.RESUME: (_not_holding, _foreign_poses, _blind),
     CommandKind.CLEAR_STOP: (_not_stopped,),
     CommandKind.HOLD: (_none_armed,),
-    CommandKind.GO: (_foreign_poses, _returns, _no_places, _unchangeable, _outside),
+    CommandKind.GO: (_foreign_poses, _returns, _on_transfers, _no_places, _unchangeable, _outside),
     CommandKind.FORMATION: (_foreign_poses, _blind, _returns, _no_form, _on_transfers, _not_placed),
     CommandKind.PATH: (_foreign_poses, _blind, _no_flight, _not_placed),
     CommandKind.REJOIN: (_foreign_poses, _blind, _none_lost, _no_place_left, _none_can_rejoin),

@@ -18,6 +18,7 @@ from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import plan_regroup, plan_return
 from groundstation.planning.segment import PlanSegment, ceil_to_period, first_contact, first_segment
 from groundstation.planning.shift import in_form, reshape
+from groundstation.planning.transfer import RAMP_S
 from groundstation.telemetry import Fleet, RobotView
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Circle, read_form
@@ -110,9 +111,10 @@ class PlanManager:
     @property
     def laps(self) -> FlownLaps:
         """Laps of the path that is flown; the way home has none."""
-        path = self.flown.path
-        lap_s = path.lap_s if isinstance(path, Circle) and not self.segment.is_return else None
-        return FlownLaps(lap_s, self.segment.path_s, self.segment.end_s, self._flights)
+        path, segment = self.flown.path, self.segment
+        lap_s = path.lap_s if isinstance(path, Circle) and not segment.is_return else None
+        goes_on_s = segment.transfer_end_s + 0.5 * RAMP_S if segment.transfer_end_s else 0.0  # where the slow start is made up
+        return FlownLaps(lap_s, segment.path_s, segment.end_s, self._flights, goes_on_s)
 
     def trajectory_for(self, order: CommandKind, robot: int) -> Trajectory | None:
         """Trajectory that a command to a robot is about; None if it has no part in the segment."""
@@ -145,8 +147,11 @@ class PlanManager:
 
     @property
     def formation(self) -> tuple[PlanSegment, float]:
-        """Segment, and progress along it in s, at which the formation has its places: on the way home the path's beginning."""
-        return (self._first, self._first.centre.begin_s) if self.segment.is_return else (self.segment, self.progress_s)
+        """Segment, and progress along it in s, at which the formation has its places: on the way home the path's beginning, on
+        separate transfers their end."""
+        if self.segment.is_return:
+            return self._first, self._first.centre.begin_s
+        return self.segment, max(self.progress_s, self.segment.transfer_end_s)
 
     def _plan_return(self, fleet: Fleet, begin_s: float) -> PlanMaker:
         """Purpose of a plan from rest: back to the starts."""
@@ -224,7 +229,7 @@ class PlanManager:
 
     def _into_form(self, form: str) -> Callable[[Fleet, float], PlanMaker]:
         """Purpose of a plan from rest: into the slots of another form, and on along the present path."""
-        experiment, segment, progress_s = self.flown, self.segment, self.progress_s
+        experiment, (segment, progress_s) = self.flown, self.formation
 
         def plan(fleet: Fleet, begin_s: float) -> PlanMaker:
             rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)

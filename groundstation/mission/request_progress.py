@@ -213,7 +213,7 @@ class RequestTracker:
             progress, reason, waiting = self._progress(request, mission, fleet, tuning)
             if progress is not Progress.UNDER_WAY:
                 self._close(request)
-            why = {robot: _reason(fleet[robot], request.refusals.get(robot, "")) for robot in waiting}
+            why = {robot: _reason(request, fleet[robot], robot) for robot in waiting}
             self._record(request, mission, progress, reason, why, self._concerned(request, mission, fleet))
         ended, self._ended = self._ended, []
         return tuple(outcome for outcome in self.recent if outcome.request in ended)
@@ -279,9 +279,7 @@ class RequestTracker:
             return (Progress.UNDER_WAY if flying else Progress.DONE), "", waiting
         lost = mission.roster.lost
         left = "; ".join(
-            f"robot {r} is left out: {lost[r]}"
-            if r in lost
-            else f"robot {r}: {_reason(fleet[r], request.refusals.get(r, ''))}"
+            f"robot {r} is left out: {lost[r]}" if r in lost else f"robot {r}: {_reason(request, fleet[r], r)}"
             for r in waiting
         )
         if not waiting:
@@ -356,11 +354,12 @@ def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:
             request.refusals[result.command.robot] = "" if result.reply.accepted else result.reply.reason
 
 
-def _reason(view: RobotView, rejection_reason: str) -> str:
+def _reason(request: _Request, view: RobotView, robot: int) -> str:
     """Short reason for which a robot has not confirmed a request."""
     if not view.heard or view.mode is None:
         return "not heard" if view.state is None else f"not heard for {view.state_age_s:.1f} s"
-    tested = view.state.thruster_test if view.state is not None else ""
+    if reason := request.refusals.get(robot, ""):
+        return reason
+    tested = view.state.thruster_test if view.state is not None and request.order is CommandKind.TEST else ""
     moving = ", not yet at rest" if view.mode is Mode.HOLDING and not _rests(view) else ""
-    mode_text = f"is {view.mode.name.lower()}{moving}{f', thruster test {tested}' if tested else ''}"
-    return rejection_reason or mode_text
+    return f"is {view.mode.name.lower()}{moving}{f', thruster test {tested}' if tested else ''}"

@@ -51,7 +51,7 @@ class StationCore:
         for_mission = [answer for answer in answers if answer not in for_tuner and answer not in for_one]
         commands = self.mission.step(fleet, for_mission, now_ns, obstacles)
         commands += self.single.step(fleet, for_one, now_ns)
-        commands += self.tuner.step(fleet, for_tuner, now_ns)
+        commands += self.tuner.step(fleet, for_tuner, now_ns, self.mission.plans.laps)
         self.laps.update(self.mission.flying(fleet), self.mission.plans.laps)
         return commands
 

@@ -136,6 +136,7 @@ def node_motion(centre: PathState, offset: SlotOffset, mode: Literal["translate"
 
 
 def _with_own_heading(position: Array, velocity: Array, acceleration: Array, centre: PathState, period_s: float) -> NodeMotion:
+    """Motion of a robot (n, 4) whose heading follows its own velocity, not the centre's."""
     yaw, yaw_rate = own_heading(velocity, acceleration, centre.yaw_rad, centre.yaw_rate_radps)
     return NodeMotion(
         np.column_stack([position, yaw]),

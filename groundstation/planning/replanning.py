@@ -189,26 +189,28 @@ def _blended_segment(
 
 
 def blend_trajectories(old: Trajectory, new: NodeMotion, begin_s: float, blend_s: float) -> NodeMotion:
-    """Motion from the old one at `begin_s` to the new one `blend_s` later, without a jump in position, velocity and
-    acceleration (quintic_blend). Headings are those of the resulting motion."""
+    """Motion that begins as the old trajectory at `begin_s` and is the new one from `blend_s` later on, without a jump in
+    position, velocity and acceleration (quintic_blend). Headings follow the resulting motion."""
     period_s = old.period_s
     count = min(round(blend_s / period_s) + 1, len(new.eta))
     time_s = period_s * np.arange(count, dtype=np.float64)
     before = sample(old, begin_s + time_s)
     tau = np.clip(time_s / blend_s, 0.0, 1.0)[:, None]
     s, s1, s2 = quintic_blend(tau, blend_s)
-    place, speed, push = new.eta[:, :3].copy(), new.velocity[:, :3].copy(), new.acceleration[:, :3].copy()
-    away, faster = place[:count] - before.eta[:, :3], speed[:count] - before.velocity[:, :3]
-    push[:count] = before.acceleration[:, :3] + s * (push[:count] - before.acceleration[:, :3]) + 2.0 * s1 * faster + s2 * away
-    speed[:count] = before.velocity[:, :3] + s * faster + s1 * away
-    place[:count] = before.eta[:, :3] + s * away
-    yaw, rate = own_heading(speed, push, new.eta[:, 3], new.velocity[:, 3])
+    position, velocity, acceleration = (x[:, :3].copy() for x in (new.eta, new.velocity, new.acceleration))
+    # p = old + s (new - old), and its two time derivatives; s, s1, s2: the blend and its derivatives.
+    d0, d1 = position[:count] - before.eta[:, :3], velocity[:count] - before.velocity[:, :3]
+    d2 = acceleration[:count] - before.acceleration[:, :3]
+    acceleration[:count] = before.acceleration[:, :3] + s * d2 + 2.0 * s1 * d1 + s2 * d0
+    velocity[:count] = before.velocity[:, :3] + s * d1 + s1 * d0
+    position[:count] = before.eta[:, :3] + s * d0
+    yaw, yaw_rate = own_heading(velocity, acceleration, new.eta[:, 3], new.velocity[:, 3])
     yaw += 2.0 * np.pi * round((before.eta[0, 3] - yaw[0]) / (2.0 * np.pi))
-    yaw[0], rate[0] = before.eta[0, 3], before.velocity[0, 3]  # exactly, without rounding
+    yaw[0], yaw_rate[0] = before.eta[0, 3], before.velocity[0, 3]  # exactly, without rounding
     return NodeMotion(
-        np.column_stack([place, yaw]),
-        np.column_stack([speed, rate]),
-        np.column_stack([push, np.gradient(rate, period_s)]),
+        np.column_stack([position, yaw]),
+        np.column_stack([velocity, yaw_rate]),
+        np.column_stack([acceleration, np.gradient(yaw_rate, period_s)]),
     )
 
 

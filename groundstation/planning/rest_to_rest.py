@@ -17,9 +17,10 @@ from groundstation.planning import planner
 from groundstation.planning.feasibility import OutOfTime, PlanError, give_way, never
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.prioritized_planning import plan_transfers
-from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, later, sample
+from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, sample
 from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_profile, turn_samples
 from shoal.config.experiment import Experiment
+from shoal.config.scene import Change
 from shoal.frames import Array
 from shoal.messages.messages import Trajectory
 
@@ -77,9 +78,18 @@ def plan_regroup(
     centre = planner.trajectory(_then_trajectory(segment.centre, None, still, turn, progress_s, left), period_s, begin_s)
     end_s = begin_s + (still + turn) * period_s + (segment.end_s - progress_s) + 0.5 * RAMP_S
     on_s = begin_s + (still + turn) * period_s
-    stood_s = on_s + 0.5 * RAMP_S - progress_s
-    forms, path_s = later(segment.forms, stood_s), segment.path_s + stood_s
+    forms = tuple(_behind_rest(form, progress_s, on_s - progress_s) for form in segment.forms)
+    path_s = segment.path_s + on_s + 0.5 * RAMP_S - progress_s
     return PlanSegment(moved, centre, end_s, segment.is_return, segment.via, forms, on_s, path_s)
+
+
+def _behind_rest(form: Change, progress_s: float, rested_s: float) -> Change:
+    """A change of form on the clock behind a rest of `rested_s` at `progress_s`. Of what had begun by then the beginning lies
+    before robots fly on: a form that they take later comes after it."""
+    at_s, ends_s = (
+        time_s + rested_s + (0.0 if time_s <= progress_s else 0.5 * RAMP_S) for time_s in (form.at_s, form.at_s + form.over_s)
+    )
+    return form.model_copy(update={"at_s": at_s, "over_s": ends_s - at_s})
 
 
 def _free_from(experiment: Experiment, segment: PlanSegment, progress_s: float, slots: Sequence[int], away: Array) -> float:

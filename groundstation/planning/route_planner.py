@@ -175,6 +175,7 @@ def _visible(here: Array, there: Array, discs: Array) -> Array:
 
 
 def _must_be_free(place: Array, discs: Array, half_m: tuple[float, float]) -> None:
+    """Raise NoRoute if a place (2,) is beyond the walls or inside a disc."""
     x, y = place
     if abs(x) > half_m[0] or abs(y) > half_m[1]:
         raise NoRoute(

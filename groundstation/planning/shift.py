@@ -16,6 +16,7 @@ import numpy as np
 from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError, pair_problems, robot_problems
 from groundstation.planning.formation import (
+    STANDSTILL_MPS,
     NodeMotion,
     SlotOffset,
     own_heading,
@@ -35,6 +36,7 @@ STEP_M = 0.1  # between two distances aside that are tried
 MOST_M = 4.0  # aside
 SLOW_MPS = 1e-3  # of the centre: slower, there is no side to move to
 EXACT_M = 1e-6
+TAKEN_S = 1e-3  # a form that robots take at rest counts from so long before they fly on: behind all changes begun before it
 
 
 def common_path(experiment: Experiment) -> bool:
@@ -58,9 +60,12 @@ def reshape(experiment: Experiment, segment: PlanSegment, begin_s: float, change
 
 
 def in_form(experiment: Experiment, segment: PlanSegment, from_s: float, change: Change) -> PlanSegment:
-    """The segment, from `from_s` on, as if the formation had taken another form before. Raises PlanError."""
+    """The segment, from `from_s` on, as if the formation had taken another form before, whatever changes had begun by then.
+    Raises PlanError."""
     begin_s = ceil_to_period(from_s, segment.centre.period_s)
-    taken = change.model_copy(update={"at_s": begin_s - 2.0, "over_s": 1.0})
+    changes = with_forms(experiment, segment).formation.changes  # the newest of those that begin at one instant comes last
+    begun_s = max([each.at_s for each in changes if each.at_s < from_s - TAKEN_S], default=-np.inf)
+    taken = change.model_copy(update={"at_s": max(begun_s, from_s - 2.0 * TAKEN_S), "over_s": 0.5 * TAKEN_S})
     reshaped = shifted(experiment, segment, begin_s, form_shifts(experiment, segment, begin_s, taken))
     return replace(reshaped, forms=(*segment.forms, taken))
 
@@ -248,14 +253,19 @@ def shifted(
 
 
 def _shifted_motion(base: NodeMotion, shift: SlotOffset, period_s: float) -> NodeMotion:
-    """A motion and a shift that begins at rest."""
+    """A motion and a shift. Where the shift begins at 0 the heading begins as the motion's. A robot that stands still differs
+    from the motion's heading as when it moved last, or as when it sets out."""
     place, velocity = base.eta[:, :3] + shift.place_m, base.velocity[:, :3] + shift.rate_mps
     acceleration = base.acceleration[:, :3] + shift.bend_mps2
     if float(np.abs(shift.place_m).max()) < EXACT_M:
         return base
     yaw, rate = own_heading(velocity, acceleration, base.eta[:, 3], base.velocity[:, 3])
+    moves = np.hypot(*velocity[:, :2].T) > STANDSTILL_MPS
+    moving = np.maximum(np.maximum.accumulate(np.where(moves, np.arange(len(moves)), -1)), int(np.argmax(moves)))
+    yaw = np.unwrap(np.where(moves, yaw, base.eta[:, 3] + (yaw - base.eta[:, 3])[moving]))
     yaw += 2.0 * np.pi * round(float(base.eta[0, 3] - yaw[0]) / (2.0 * np.pi))
-    yaw[0], rate[0] = base.eta[0, 3], base.velocity[0, 3]  # exactly, without rounding
+    if float(np.abs(shift.place_m[0]).max()) < EXACT_M:
+        yaw[0], rate[0] = base.eta[0, 3], base.velocity[0, 3]  # exactly, without rounding
     return NodeMotion(
         np.column_stack([place, yaw]),
         np.column_stack([velocity, rate]),

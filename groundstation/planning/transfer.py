@@ -23,8 +23,10 @@ CLEAR_M = 0.05  # between hulls and islands or walls
 LIMIT_SHARE = 0.8  # of the vehicle's fastest speed and heave: the rest is for its controller
 SLOWER, SLOWEST_MPS = 0.7, 0.02  # factor on the speed, tried until all bends can be flown; the last one is taken as it is
 NEAR_M = 1e-3  # a shorter distance is no transfer
-OFF_M = 0.1  # so far a way leads straight off from what an end lies beside, where it cannot bend at once
-RIM_M = 0.008  # nearer to what it rests beside than at its ends leads a way around it. A nearer one is a contact (BESIDE_M)
+OFF_M = 0.1  # length of the straight piece away from an obstacle beside an end, where there is no room to bend at once
+RIM_M = (
+    0.008  # by how much a path may come nearer to an obstacle than its ends lie to it. A nearer one is a contact (BESIDE_M)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +87,9 @@ def plan_transfer(
     speed = min(experiment.mission.return_mps, LIMIT_SHARE * limits.speed_mps)
     speed = min(speed, LIMIT_SHARE * limits.heave_mps * length_m / max(abs(rise_m), 1e-9))
     while True:
-        distance_m, rate, bend = s_curve_profile(length_m, speed, period_s)
-        transfer = pad(_along(path, start, flat_m, rise_m, distance_m, rate, bend), turn_samples(experiment), 0)
+        distance_m, rate_mps, rate_mps2 = s_curve_profile(length_m, speed, period_s)
+        motion = _along(path, start, flat_m, rise_m, distance_m, rate_mps, rate_mps2)
+        transfer = pad(motion, turn_samples(experiment), 0)
         if speed < SLOWEST_MPS or _can_be_flown(experiment, transfer, float(start[3])):
             return transfer
         speed *= SLOWER
@@ -100,18 +103,22 @@ def _flat_path(
     parked: Sequence[Array],
     out_of_time: OutOfTime,
 ) -> SplinePath:
-    """The shortest smooth path in the plane between two poses, around discs and `parked` robots. Raises NoRoute."""
+    """The shortest smooth path in the plane between two poses (4,), around discs and `parked` robots. Raises NoRoute.
+
+    An end may lie inside a disc, for a robot that rests beside an obstacle or a wall. Discs are then shrunk until the ends are
+    free, and the basin is widened. Where the path has no room to bend at such an end, discs are shrunk by RIM_M more, and then
+    the path first leads straight away.
+    """
     keep_m = 2.0 * experiment.safety.radius_m
     parked_discs = np.array([(x, y, keep_m) for x, y, *_ in parked]).reshape(-1, 3)
     discs = np.vstack([around.discs, parked_discs])
     ends = start[:2], goal[:2]
-    half_x_m, half_y_m = around.half_m  # of a basin that holds both ends
+    half_x_m, half_y_m = around.half_m
     half_x_m = max(half_x_m, abs(float(start[0])), abs(float(goal[0])))
     half_y_m = max(half_y_m, abs(float(start[1])), abs(float(goal[1])))
-    half_m = half_x_m, half_y_m
-    rims = _no_wider_than_free(discs, RIM_M, *ends)
-    attempts = (ends, _no_wider_than_free(discs, 0.0, *ends)), (ends, rims), (_straight_off(ends, discs), rims)
-    points = _first_route(attempts, half_m, out_of_time)
+    tight_discs, loose_discs = _shrunk_to_free(discs, 0.0, *ends), _shrunk_to_free(discs, RIM_M, *ends)
+    attempts = (ends, tight_discs), (ends, loose_discs), (_with_straight_ends(ends, discs), loose_discs)
+    points = _first_route(attempts, (half_x_m, half_y_m), out_of_time)
     try:
         return SplinePath(Waypoints(kind="waypoints", points_m=tuple((x, y) for x, y in points.tolist()), speed_mps=1.0))
     except ValueError:
@@ -121,7 +128,8 @@ def _flat_path(
 def _first_route(
     attempts: Iterable[tuple[Sequence[Array], Array]], half_m: tuple[float, float], out_of_time: OutOfTime
 ) -> Array:
-    """The first of these routes, each through points and around discs, that is smooth and clear. Raises NoRoute if none is."""
+    """The route of the first attempt (points to pass through, discs to avoid) that has a smooth and clear one, (n, 2). Raises
+    the last attempt's NoRoute if none has."""
     for points_m, discs in attempts:
         try:
             return find_route([(float(x), float(y)) for x, y in points_m], discs, half_m, out_of_time=out_of_time)
@@ -130,40 +138,41 @@ def _first_route(
     raise reason
 
 
-def _straight_off(ends: Sequence[Array], discs: Array) -> list[Array]:
-    """The ends of a way, and beside each that lies in discs a point straight away from the nearest of their centres: at the
-    rim of a small disc there is no room for a smooth bend."""
+def _with_straight_ends(ends: Sequence[Array], discs: Array) -> list[Array]:
+    """The two ends of a path, and between them, for each end that lies in a disc, a point OFF_M straight away from the nearest
+    centre: at the rim of a small disc there is no room for a smooth bend."""
     points = list(ends)
-    for place, before in ((1, ends[0]), (-1, ends[1])):
-        apart_m = np.hypot(*(discs[:, :2] - before).T)
+    for index, end in ((1, ends[0]), (-1, ends[1])):
+        apart_m = np.hypot(*(discs[:, :2] - end).T)
         inside = np.flatnonzero((apart_m < discs[:, 2]) & (apart_m > 0.0))
         if len(inside):
             nearest = inside[np.argmin(apart_m[inside])]
-            away = (before - discs[nearest, :2]) / apart_m[nearest]
-            points.insert(place, before + OFF_M * away)
+            away = (end - discs[nearest, :2]) / apart_m[nearest]
+            points.insert(index, end + OFF_M * away)
     return points
 
 
 def _can_be_flown(experiment: Experiment, transfer: Transfer, start_rad: float) -> bool:
-    """True if a transfer from a heading keeps the vehicle's limits as fast as it is."""
+    """True if a transfer that begins at the heading `start_rad` keeps the vehicle's limits at its planned speed."""
     slowdown = required_slowdown(experiment, {0: add_heading(transfer, start_rad, experiment)})
     return float(np.max(slowdown)) <= 1.0
 
 
-def _no_wider_than_free(discs: Array, by_m: float, *ends: Array) -> Array:
-    """Discs shrunk until the ends are free by `by_m`: a robot that rests near an obstacle may leave, and may come to rest
-    there."""
+def _shrunk_to_free(discs: Array, by_m: float, *ends: Array) -> Array:
+    """Discs (k, 3: x, y, radius), shrunk where needed until every end is outside by `by_m`: a robot that rests near an
+    obstacle may leave, and may come to rest there."""
     if len(discs) == 0:
         return discs
-    room = np.min([np.hypot(*(discs[:, :2] - end).T) for end in ends], axis=0)
-    return np.column_stack([discs[:, :2], np.minimum(discs[:, 2], np.maximum(room * (1.0 - 1e-9) - by_m, 0.0))])
+    nearest_end_m = np.min([np.hypot(*(discs[:, :2] - end).T) for end in ends], axis=0)
+    radius_m = np.minimum(discs[:, 2], np.maximum(nearest_end_m * (1.0 - 1e-9) - by_m, 0.0))
+    return np.column_stack([discs[:, :2], radius_m])
 
 
 def ramp(time_s: Array) -> tuple[Array, Array, Array]:
     """Time of a clock that starts at rate 0 and runs at rate 1 after RAMP_S, (n,) in s, and its two time derivatives."""
     u = np.clip(time_s / RAMP_S, 0.0, 1.0)
-    shown_s = RAMP_S * (u**3 - 0.5 * u**4) + np.maximum(time_s - RAMP_S, 0.0)
-    return shown_s, 3.0 * u**2 - 2.0 * u**3, 6.0 * u * (1.0 - u) / RAMP_S
+    clock_s = RAMP_S * (u**3 - 0.5 * u**4) + np.maximum(time_s - RAMP_S, 0.0)
+    return clock_s, 3.0 * u**2 - 2.0 * u**3, 6.0 * u * (1.0 - u) / RAMP_S
 
 
 def s_curve_profile(length_m: float, speed_mps: float, period_s: float) -> tuple[Array, Array, Array]:
@@ -173,28 +182,28 @@ def s_curve_profile(length_m: float, speed_mps: float, period_s: float) -> tuple
     cruise_s = length_m / speed - RAMP_S
     time_s = period_s * np.arange(math.ceil((cruise_s + 2.0 * RAMP_S) / period_s) + 1, dtype=np.float64)
     up, down = ramp(time_s), ramp(time_s - cruise_s - RAMP_S)
-    distance_m, rate, bend = (speed * a - speed * b for a, b in zip(up, down, strict=True))
-    return np.minimum(distance_m, length_m), rate, bend
+    distance_m, rate_mps, rate_mps2 = (speed * a - speed * b for a, b in zip(up, down, strict=True))
+    return np.minimum(distance_m, length_m), rate_mps, rate_mps2
 
 
 def _along(
-    path: SplinePath | None, start: Array, flat_m: float, rise_m: float, distance_m: Array, rate: Array, bend: Array
+    path: SplinePath | None, start: Array, flat_m: float, rise_m: float, distance_m: Array, rate_mps: Array, rate_mps2: Array
 ) -> Transfer:
-    """Motion along the path and up or down in step with it; `distance_m` (n,) is measured along the longer of the two."""
-    whole = max(flat_m, abs(rise_m))
+    """Motion along a path of length `flat_m`, and down by `rise_m` in step with it (z points down). `distance_m` (n,) and its
+    two time derivatives are measured along the longer of the two."""
+    longer_m = max(flat_m, abs(rise_m))
     position, velocity = np.tile(start[:3], (len(distance_m), 1)), np.zeros((len(distance_m), 3))
     acceleration = np.zeros((len(distance_m), 3))
     if path is not None:
-        share = flat_m / whole
+        share = flat_m / longer_m
         at = path.at(share * distance_m)
         position[:, :2] = at.position_m[:, :2]
-        velocity[:, :2] = at.velocity_mps[:, :2] * (share * rate)[:, None]
-        acceleration[:, :2] = (
-            at.acceleration_mps2[:, :2] * (share * rate)[:, None] ** 2 + at.velocity_mps[:, :2] * (share * bend)[:, None]
-        )
-    share = rise_m / whole
+        along_mps, along_mps2 = (share * rate_mps)[:, None], (share * rate_mps2)[:, None]
+        velocity[:, :2] = at.velocity_mps[:, :2] * along_mps
+        acceleration[:, :2] = at.acceleration_mps2[:, :2] * along_mps**2 + at.velocity_mps[:, :2] * along_mps2
+    share = rise_m / longer_m
     position[:, 2] += share * distance_m
-    velocity[:, 2], acceleration[:, 2] = share * rate, share * bend
+    velocity[:, 2], acceleration[:, 2] = share * rate_mps, share * rate_mps2
     return Transfer(position, velocity, acceleration)
 
 
@@ -221,23 +230,24 @@ def join(first: Transfer, then: Transfer) -> Transfer:
 
 
 def add_heading(transfer: Transfer, yaw_rad: float, experiment: Experiment) -> NodeMotion:
-    """Motion with headings along the velocity. At rest the robot turns from its last to its next direction."""
+    """Motion with headings along the velocity, from the heading `yaw_rad` on. While it rests the robot turns from its last to
+    its next direction, the shorter way."""
     moving = np.hypot(transfer.velocity[:, 0], transfer.velocity[:, 1]) > NEAR_M
     direction = np.arctan2(transfer.velocity[:, 1], transfer.velocity[:, 0])
     yaw, period_s = np.full(len(transfer), yaw_rad), experiment.controller.period_s
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(np.intp)))
-    before, stood = yaw_rad, 0
-    for begin, end in edges.reshape(-1, 2).tolist():
+    last_rad, rest_begin = yaw_rad, 0
+    for begin, end in edges.reshape(-1, 2).tolist():  # samples of one stretch in motion
         headings = np.unwrap(direction[begin:end])
-        headings += 2.0 * np.pi * round((before - headings[0]) / (2.0 * np.pi))
-        yaw[stood:begin] = turn_profile(before, float(headings[0]), begin - stood)
-        yaw[begin:end], before, stood = headings, float(headings[-1]), end
-    yaw[stood:] = before
-    rate, bend = heading_rates(yaw, period_s)
+        headings += 2.0 * np.pi * round((last_rad - headings[0]) / (2.0 * np.pi))
+        yaw[rest_begin:begin] = turn_profile(last_rad, float(headings[0]), begin - rest_begin)
+        yaw[begin:end], last_rad, rest_begin = headings, float(headings[-1]), end
+    yaw[rest_begin:] = last_rad
+    rate_radps, rate_radps2 = heading_rates(yaw, period_s)
     return NodeMotion(
         np.column_stack([transfer.position, yaw]),
-        np.column_stack([transfer.velocity, rate]),
-        np.column_stack([transfer.acceleration, bend]),
+        np.column_stack([transfer.velocity, rate_radps]),
+        np.column_stack([transfer.acceleration, rate_radps2]),
     )
 
 
@@ -257,9 +267,9 @@ def turn_samples(experiment: Experiment) -> int:
         samples = round(turn_s / period_s)
         pose = np.zeros((samples + 2, 4))
         pose[1:-1, 3], pose[-1, 3] = turn_profile(0.0, math.pi, samples), math.pi
-        spin, push = np.zeros_like(pose), np.zeros_like(pose)
-        spin[:, 3], push[:, 3] = heading_rates(pose[:, 3], period_s)
-        if float(np.max(required_slowdown(experiment, {0: NodeMotion(pose, spin, push)}))) <= 1.0:
+        velocity, acceleration = np.zeros_like(pose), np.zeros_like(pose)
+        velocity[:, 3], acceleration[:, 3] = heading_rates(pose[:, 3], period_s)
+        if float(np.max(required_slowdown(experiment, {0: NodeMotion(pose, velocity, acceleration)}))) <= 1.0:
             return samples
         turn_s *= SLOWER_TURN
     raise NoRoute(f"this vehicle does not turn half round within {LONGEST_TURN_S:g} s (limits.yaw_rate_radps, limits.wrench)")

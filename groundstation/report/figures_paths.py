@@ -24,7 +24,7 @@ from groundstation.report.plotting import (
     WIDTH_IN,
     legend,
     legend_columns,
-    place,
+    set_margins,
 )
 from shoal.config.simulation import Drifter
 from shoal.frames import Array
@@ -47,7 +47,7 @@ def _references(series: Series, tracks: dict[int, Array], width_in: float) -> Fi
     figure = Figure(figsize=(width_in, TOP_IN + rows * (BOTTOM_IN + 2.4)))
     gaps = {"wspace": 0.28} if rows == 1 else {"hspace": BOTTOM_IN / 2.4}
     above, heading = figure.subplots(rows, 3 - rows, gridspec_kw=gaps)
-    place(figure)
+    set_margins(figure)
     for index, robot in enumerate(series.robots):
         if robot in tracks:
             x, y, _, yaw_rad = tracks[robot].T
@@ -111,7 +111,7 @@ def _paths(series: Series, width_in: float) -> Figure:
     inside_in = (width_in - LEFT_IN - RIGHT_IN) * float((high - low)[1] / (high - low)[0])
     figure = Figure(figsize=(width_in, TOP_IN + BOTTOM_IN + min(inside_in, TALLEST_IN)))
     axes = figure.subplots()
-    place(figure)
+    set_margins(figure)
     if series.experiment.pool.walls:
         axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
     for island in series.experiment.islands:

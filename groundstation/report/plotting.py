@@ -1,7 +1,6 @@
 """Style of the report's figures, and the few plots that they consist of. Pure: figures in, SVG text out.
 
-What a line means never hangs on its colour
-alone (references are dashed, truth is dotted, limits are grey).
+The meaning of a line never depends on its colour alone: references are dashed, truth is dotted, limits are grey.
 """
 
 import io
@@ -58,7 +57,8 @@ STYLE: Any = {  # Any: matplotlib types its keys as one literal of hundreds of n
 
 
 def picture(drawing: TimePlot | BarPlot | PaperFigure | None, width_in: float = WIDTH_IN) -> Figure | None:
-    """A drawing as a figure on paper; None if there is nothing to plot. `width_in` is a picture's and a stack of panels'."""
+    """Draw a figure; None if there is nothing to plot. `width_in` is for a picture and a stack of panels; other drawings have
+    their own width."""
     if drawing is None or (isinstance(drawing, TimePlot) and drawing.is_empty):
         return None
     with mpl.rc_context(STYLE):
@@ -83,12 +83,12 @@ def stack(plot: TimePlot, width_in: float) -> Figure:
     figure = Figure(figsize=(width_in, TOP_IN + BOTTOM_IN + gaps_in + plot.height_in * len(plot.panels)))
     gap = {"hspace": GAP_IN / plot.height_in}
     grid = figure.subplots(len(plot.panels), 1, sharex=True, squeeze=False, gridspec_kw=gap)
-    place(figure)
+    set_margins(figure)
     for axes, panel in zip(grid[:, 0], plot.panels, strict=True):
         for line in panel.lines:
             axes.plot(*thin(line.time_s, line.values), line.style, color=line.colour, label=line.label, alpha=0.85)
         axes.set_ylabel(panel.label)
-        _compare(axes, panel)
+        _draw_limits(axes, panel)
         low, high = axes.get_ylim()
         if high - low < panel.least:
             axes.set_ylim((low + high - panel.least) / 2.0, (low + high + panel.least) / 2.0)
@@ -100,8 +100,8 @@ def stack(plot: TimePlot, width_in: float) -> Figure:
     return figure
 
 
-def place(figure: Figure) -> None:
-    """Give the axes their margins, and their labels one line."""
+def set_margins(figure: Figure) -> None:
+    """Set the fixed margins around a figure's axes, and align the vertical labels of the left column of axes."""
     width_in, height_in = figure.get_size_inches()
     figure.subplots_adjust(
         left=LEFT_IN / width_in, right=1 - RIGHT_IN / width_in, top=1 - TOP_IN / height_in, bottom=BOTTOM_IN / height_in
@@ -113,7 +113,8 @@ def place(figure: Figure) -> None:
 
 
 def legend(figure: Figure, axes: Axes) -> None:
-    """One legend above everything, if it is short enough to be read. Of more rows than have room the figure becomes taller."""
+    """Draw one legend above all axes, if it has at most MOST_LABELS entries. The figure becomes taller where its rows need
+    more room."""
     handles, labels = axes.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
     if 1 <= len(unique) <= MOST_LABELS:
@@ -130,7 +131,7 @@ def legend(figure: Figure, axes: Axes) -> None:
 
 
 def legend_columns(labels: Iterable[str], width_in: float) -> int:
-    """Entries of a legend with these labels beside one another in a figure of a width, each as wide as the widest."""
+    """Number of columns that a legend with these labels has in a figure `width_in` wide: all are as wide as the widest."""
     size_pt, widest_pt = STYLE["legend.fontsize"], 0.0
     font = FontProperties(family=STYLE["font.family"], size=size_pt)
     for label in labels:
@@ -139,7 +140,7 @@ def legend_columns(labels: Iterable[str], width_in: float) -> int:
     return max(1, int((72.0 * (width_in - LEFT_IN - RIGHT_IN) + LEGEND_GAP_EM * size_pt) / entry_pt))
 
 
-def _compare(axes: Axes, panel: Panel) -> None:
+def _draw_limits(axes: Axes, panel: Panel) -> None:
     """Draw the limits, the floor and the band that a panel's curves are compared with."""
     if panel.reaches_limit and panel.limit is not None:
         for sign in (1.0, -1.0):
@@ -154,12 +155,12 @@ def _compare(axes: Axes, panel: Panel) -> None:
 
 
 def _time_and_histogram(plot: TimePlot) -> Figure:
-    """Dots over time beside how often each value occurs."""
+    """Draw one panel as dots over time, and beside it the histogram of its values."""
     (panel,) = plot.panels
     lines = [line for line in panel.lines if np.isfinite(line.values).any()]
     figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + plot.height_in))
     left, right = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True, gridspec_kw={"wspace": 0.06})
-    place(figure)
+    set_margins(figure)
     everything = np.concatenate([line.values[np.isfinite(line.values)] for line in lines])
     edges = np.histogram_bin_edges(everything, bins=min(40, max(10, int(np.sqrt(everything.size)))))
     for line in lines:
@@ -180,11 +181,11 @@ def _time_and_histogram(plot: TimePlot) -> Figure:
 
 
 def _bars(plot: BarPlot) -> Figure:
-    """One axis of time with a named row for each."""
+    """Draw named rows of bars on one axis of time, and below them a row of marks."""
     names = [*(name for name, _ in plot.rows), *(["faults"] if plot.marks else [])]
     figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + ROW_IN * (len(names) + 1)))
     axes = figure.subplots()
-    place(figure)
+    set_margins(figure)
     figure.subplots_adjust(left=LABELS_TO)
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)

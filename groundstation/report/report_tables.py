@@ -46,7 +46,8 @@ class _Part:
 
 
 def tables(result: Result) -> list[ReportTable]:
-    """Tables with something in them. The article's figures are of whole runs: a run that was not is not held against them."""
+    """The report's tables, without those that would be empty. Only a run that was flown to its end is compared with the
+    article's figures, which are of whole runs."""
     rows = list(result.rows.items())
     robots = rows[: len(result.robots)]
     all_tables = [_table("Errors", _errors(), rows, "Root mean square and largest; yaw to the path's tangent.")]
@@ -57,7 +58,8 @@ def tables(result: Result) -> list[ReportTable]:
         _table("Robots", _robots(), robots, "Yaw to the heading commanded; disturbance: estimated minus true, RMS.")
     )
     axes = max((len(row.dtau_rms or ()) for row in result.robots.values()), default=0) or 3
-    all_tables.append(_table("Wear", _wear(axes), robots, "RMS of the change per control step: chatter wears thrusters out."))
+    note = "RMS of the change per control step: chatter wears thrusters out."
+    all_tables.append(_table("Wear", _input_steps(axes), robots, note))
     return [table for table in all_tables if table.groups]
 
 
@@ -79,7 +81,7 @@ def _errors() -> Iterator[_Part]:
 
 
 def _article() -> Iterator[_Part]:
-    """Columns that hold the errors against the article's, and against those of a robot that never moves."""
+    """Columns that compare the errors with the article's, and with those of a robot that never moves."""
     xy = XYZ[:2]
     articles_rms_m = _figure_of("article", "rms_m")
     articles_yaw_rad = _figure_of("article", "rms_yaw_rad")
@@ -89,7 +91,7 @@ def _article() -> Iterator[_Part]:
     yield _Part(Group("the article's", XYZ), lambda r: _lengths(articles_rms_m(r)))
     yield _Part(
         Group("yaw [deg]", ("here", "article")),
-        lambda r: [_against(r.rms_yaw_rad, articles_yaw_rad(r), deg), Cell(deg(articles_yaw_rad(r)))],
+        lambda r: [_compared(r.rms_yaw_rad, articles_yaw_rad(r), deg), Cell(deg(articles_yaw_rad(r)))],
     )
     yield _Part(Group("largest", xy), lambda r: _lengths(r.max_m, articles_max_m(r))[:2])
     yield _Part(Group("the article's", xy), lambda r: _lengths(articles_max_m(r))[:2])
@@ -115,8 +117,9 @@ def _robots() -> Iterator[_Part]:
     yield _Part(Group("control steps", ("all", "late")), lambda r: [Cell(str(r.control_steps)), Cell(str(r.missed_deadlines))])
 
 
-def _wear(count: int) -> Iterator[_Part]:
-    """Columns of the changes per control step, of `count` axes of the wrench and of the pulses."""
+def _input_steps(count: int) -> Iterator[_Part]:
+    """Columns of the RMS change per control step: of the wrench's first `count` axes (3, or 4 with sway), and of the
+    pulses."""
     axes = ("surge [N]", "heave [N]", "yaw [N m]", "sway [N]")[:count]
     yield _Part(Group("input steps, whole run", axes), lambda r: _numbers(r.dtau_rms, len(axes)))
     yield _Part(Group("input steps after 20 s", axes), lambda r: _numbers(r.dtau_rms_after_20s, len(axes)))
@@ -124,16 +127,17 @@ def _wear(count: int) -> Iterator[_Part]:
 
 
 def _lengths(values: Sequence[float] | None, others: Sequence[float] | None = None) -> list[Cell]:
-    """Three lengths, each against another's where there is one."""
+    """Cells of three lengths in mm, each compared with the one of `others` on the same axis where there is one."""
     own, theirs = ([*(lengths or ()), None, None, None] for lengths in (values, others))
-    return [_against(own[axis], theirs[axis], mm) for axis in range(3)]
+    return [_compared(own[axis], theirs[axis], mm) for axis in range(3)]
 
 
-def _against(value: float | None, other: float | None, show: Callable[[float | None], str]) -> Cell:
-    """A value's cell, marked good where it is smaller than the other value, else bad."""
+def _compared(value: float | None, other: float | None, format_value: Callable[[float | None], str]) -> Cell:
+    """A value's cell, marked good where it is smaller than the other value, else bad; unmarked where one is missing."""
     sense = "" if value is None or other is None else "good" if value < other else "bad"
-    return Cell(show(value), sense)
+    return Cell(format_value(value), sense)
 
 
 def _numbers(values: Sequence[float] | None, count: int) -> list[Cell]:
+    """Cells of the first `count` values with three digits; empty ones where values are missing."""
     return [Cell(three(value)) for value in (*(values or ()), *(None,) * count)[:count]]

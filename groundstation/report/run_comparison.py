@@ -134,6 +134,7 @@ def _lines(runs: Sequence[ComparedRun], whose: tuple[int, ...]) -> list[Curve]:
 
 
 def _surge(runs: Sequence[ComparedRun], robot: int) -> Panel:
+    """The surge force of one robot over time, a curve for each run that has the robot."""
     states_of_runs = [(i, run, run.series.robots[robot].states) for i, run in enumerate(runs) if robot in run.series.robots]
     surge_of_runs = [(i, run, states, states.control(lambda c: c.wrench)[:, 0]) for i, run, states in states_of_runs]
     lines = [Curve(run.name, states.time_s, surge, colour(i)) for i, run, states, surge in surge_of_runs]

@@ -251,28 +251,31 @@ class ConnectedFleet:
         return heartbeat is not None and heartbeat.message.ready and self._tells_mission(FRESH_S)
 
     def _present_line(self) -> str:
-        """The line about the mission that counts: of the station that is heard now, and of no earlier one. Empty: none."""
+        """The last line about the mission of the station that is heard now; empty if there is none, or it is an earlier
+        station's."""
         heartbeat, (session, line) = self._heartbeat.newest(), self._mission_line
         is_present = heartbeat is not None and heartbeat.header.session == session and self._fresh(self._heartbeat, FRESH_S)
         return line if is_present else ""
 
     def wait_event(self, text: str = "", timeout_s: float = 60.0) -> Event:
         """Next event (line of a process's log) with this text in it. Events before it are dropped. Raises NotHeard."""
-        events: list[Event] = []
+        matching: list[Event] = []
 
-        def look() -> bool:
-            while self._events and not events:
+        def take_events() -> bool:
+            """Take events up to the first that matches. True if there is one."""
+            while self._events and not matching:
                 event = self._events.popleft()
                 if text in event.message:
-                    events.append(event)
-            return bool(events)
+                    matching.append(event)
+            return bool(matching)
 
-        if not self._wait(look, timeout_s):
+        if not self._wait(take_events, timeout_s):
             raise NotHeard(f"no event with {text!r} within {timeout_s:g} s")
-        return events[0]
+        return matching[0]
 
     def _wait(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until `ready()` or so many seconds of the fleet's time have gone by. Returns whether `ready()`."""
+        """Wait until `ready()` is True, at most `timeout_s` of the fleet's time. Returns False after that. Raises NotHeard
+        when the station is gone."""
         over = self._time.limit(timeout_s)
         while not self._bus.wait(ready, min(timeout_s, LOOK_S)):
             if reason := self._gone():

@@ -248,6 +248,7 @@ def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
 
 
 def _cycles_at(instants: Iterable[int], station: Station, end: EndOfRun) -> Generator[None]:
+    """Do a cycle of the station at each instant, and yield after it, until the run ends."""
     yield
     for now_ns in instants:
         station.cycle(now_ns)

@@ -90,11 +90,12 @@ class Workers:
 
 @contextmanager
 def workers(robots: int) -> Iterator[Workers]:
-    """Number of threads: that of orders that can be on their way at once, so that none waits for another."""
-    most = MAX_UNANSWERED * robots
+    """Start the station's threads for so many robots, and end them with the block. There are as many as commands that can be
+    unanswered at once, so that no command waits for another."""
+    per_kind = MAX_UNANSWERED * robots
     with (
-        ThreadPoolExecutor(most * len(PROMPT), "prompt") as prompt,
-        ThreadPoolExecutor(most * COMMAND_KINDS, "order") as orders,
+        ThreadPoolExecutor(per_kind * len(PROMPT), "prompt") as prompt,
+        ThreadPoolExecutor(per_kind * COMMAND_KINDS, "order") as orders,
         ThreadPoolExecutor(2, "plan") as plans,
     ):
         closing = threading.Event()
@@ -185,7 +186,7 @@ class Station:
         beat = StationHeartbeat(
             self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns,
             flight_s=0.0 if segment.is_return else segment.end_s,
-            other_path=self.mission.plans.flown is not self.experiment,
+            other_path=self.mission.plans.flown is not self.experiment or bool(segment.forms or segment.via),
             ready=self.mission.state in AT_REST and not self._unfit(),
             sightings=tuple(sightings),
             sightings_m=np.array(list(sightings.values())).reshape(-1, 2),

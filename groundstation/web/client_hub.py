@@ -167,6 +167,7 @@ class ClientHub:
             await asyncio.sleep(LOOK_S if self._watchers else AT_LEAST_S)
 
     def _complain(self, error: Exception) -> None:
+        """Log an error that keeps the page from new states, at most once in COMPLAIN_EVERY_S."""
         now_s = time.monotonic()
         if now_s - self._complained_s >= COMPLAIN_EVERY_S:
             self._complained_s = now_s
@@ -233,7 +234,7 @@ class ClientHub:
         if len(self._watchers) >= MOST_WATCHERS:
             await websocket.close(TOO_MANY, f"{MOST_WATCHERS} pages are open already")
             return
-        hello = await self._introduced(websocket)
+        hello = await self._receive_hello(websocket)
         if hello is None or not token_allowed(self._options, hello.token):
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await websocket.close(NOT_ALLOWED, "wrong token")
@@ -258,8 +259,8 @@ class ClientHub:
             self._lease.leave(watcher.id)
 
     async def _greet(self, websocket: WebSocket, watcher: Client, greeting: dict[str, Any]) -> None:
-        """Send a page its greeting, with what the disk has for it, and then all that comes. A disk that hangs keeps no page
-        from stopping the fleet, not this one either; and none from a run that is flown, which goes on without it."""
+        """Send a page its greeting, with the files of its run, and then all that comes. In a flight the greeting does not wait
+        for a disk that hangs: the page needs its STOP."""
         reading = asyncio.create_task(self._in_thread(self._files, lambda _: NO_FILES, self._files_of_run))
         scene = greeting["scene"]
         await asyncio.wait({reading}, timeout=None if scene["mode"] == "replay" else FILES_WITHIN_S)
@@ -268,12 +269,12 @@ class ClientHub:
         await _send(websocket, watcher)
 
     def _files_of_run(self) -> dict[str, Any]:
-        """The part of a scene that is on the disk."""
+        """The part of a scene that is read from the disk: the run's report and end, and experiments that can be loaded."""
         experiments = loadable(self._source.experiment.robot_ids)
         return {"report": self._desk.shown_report, "end": self._desk.shown_end, "loadable": experiments}
 
-    async def _introduced(self, websocket: WebSocket) -> protocol.Hello | None:
-        """The first thing that a connection says, if it is a hello and comes in time."""
+    async def _receive_hello(self, websocket: WebSocket) -> protocol.Hello | None:
+        """Receive a connection's first message: None if it is no hello, or does not come in time."""
         first = asyncio.create_task(_receive(websocket))
         self._strangers.append(first)
         if len(self._strangers) > MOST_STRANGERS:
@@ -298,13 +299,15 @@ class ClientHub:
                 self._spawn(_close(before.websocket, ELSEWHERE, "the page has come back over another connection"))
 
     async def _listen(self, websocket: WebSocket, watcher: Client) -> None:
+        """Act on a page's messages until its connection ends. A request with a wrong value is answered; a message that no page
+        sends ends the connection."""
         while True:
             try:
                 request = await _receive(websocket)
             except WebSocketDisconnect:
                 return
             except protocol.BadRequest as error:
-                if error.answer is not None:  # else what a person types would end the control over robots that fly
+                if error.answer is not None:  # a typing error must not end the connection, and with it a person's lease
                     self._lease.note_life(watcher.id, time.monotonic())
                     watcher.answer(error.answer)
                     continue
@@ -393,7 +396,7 @@ class ClientHub:
                 if isinstance(request, protocol.DriveRequest):
                     await self._drive(watcher, request)
                 elif isinstance(request, protocol.PreviewEdit):
-                    await self._attempt(watcher, request)
+                    await self._preview_edit(watcher, request)
                 elif isinstance(request, protocol.PreviewFlight):
                     await self._preview_flight(watcher, request)
         finally:
@@ -461,6 +464,7 @@ class ClientHub:
             watcher.answer({"k": "undriven", "robot": drive.robot, "reason": reason})
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:
+        """Request a change of gains from the station, and reply to the page."""
         reason, number = await self._run_order(
             lambda: self._control_refusal(watcher) or self._lateness_refusal(request.seen_ms, ORDER_VALID_S),
             _refused,
@@ -481,11 +485,13 @@ class ClientHub:
         except Exception as error:
             self._complain(error)
 
-    async def _attempt(self, watcher: Client, tried: protocol.PreviewEdit) -> None:
-        judged = await self._in_thread(self._plans, _unfit, attempt, self._source.experiment, tried.edit)
-        watcher.answer({"k": "tried", "n": tried.n} | judged)
+    async def _preview_edit(self, watcher: Client, request: protocol.PreviewEdit) -> None:
+        """Answer a page with the paths that its edit of the experiment would give, or the reasons against it."""
+        answer = await self._in_thread(self._plans, _unfit, attempt, self._source.experiment, request.edit)
+        watcher.answer({"k": "tried", "n": request.n} | answer)
 
     async def _preview_flight(self, watcher: Client, request: protocol.PreviewFlight) -> None:
+        """Answer a page with the plan that an order would give in flight, or the reasons against it."""
         order, station = order_named(request.order), self._source.station
         answer = await self._in_thread(
             self._plans, _unfit, drafted, self._source.experiment, order, request.text, station.draft
@@ -493,6 +499,7 @@ class ClientHub:
         watcher.answer({"k": "drafted", "n": request.n} | answer)
 
     async def _save(self, watcher: Client, request: protocol.Save) -> None:
+        """Save a page's edit as an experiment's file, and answer with its name or the reason against it."""
         reason = self._control_refusal(watcher)
         done = (
             _unfit(reason)
@@ -502,6 +509,7 @@ class ClientHub:
         watcher.answer({"k": "saved", "n": request.n} | done)
 
     async def _choose(self, watcher: Client, request: protocol.AfterRun) -> None:
+        """Do what a page chose after an ended run: fly again, fly its edit, or close; answer with the problems, if any."""
         reason = self._control_refusal(watcher)
         problems = (
             [reason]
@@ -571,6 +579,7 @@ async def _close(websocket: WebSocket, code: int, why: str) -> None:
 
 
 async def _receive(websocket: WebSocket) -> protocol.Request:
+    """The next request of a page. Raises WebSocketDisconnect, and BadRequest for a message that is none."""
     message = await websocket.receive()
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", 1000))
@@ -578,6 +587,7 @@ async def _receive(websocket: WebSocket) -> protocol.Request:
 
 
 async def _send(websocket: WebSocket, watcher: Client) -> None:
+    """Send a page its frames as its window allows, until the connection ends."""
     with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):  # it has gone: `_listen` notices too
         while True:
             frame = watcher.window.next(time.monotonic())

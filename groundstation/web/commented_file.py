@@ -20,8 +20,11 @@ WIDE = 127  # of a line; with a longer comment it stands above its key
 
 
 def commented(experiment: Experiment) -> str:
-    """The experiment as TOML, in the order of the shipped files. What a key gives that is left out may hang on others, of the
-    control law for example: the file is read again, and tells what it would give otherwise."""
+    """The experiment as TOML, in the order of the shipped files, without the keys that have their default.
+
+    A key's default may depend on other keys, for example on the control law. So the text is read again, and keys that would
+    get another value are added, until it gives the same experiment.
+    """
     title, needed, missed = f"# {experiment.title or experiment.name}", set[str](), {""}
     while missed - needed:
         needed |= missed
@@ -32,8 +35,8 @@ def commented(experiment: Experiment) -> str:
 
 
 def _other_keys(one: Any, other: Any, name: str) -> Iterator[str]:
-    """Dotted keys whose values differ between two tables, and the keys of the tables around them; for a list, no places in
-    it."""
+    """Dotted keys whose values differ between two tables, and the keys of the tables around them. Entries of a list have the
+    list's key."""
     if one == other:
         return
     yield name
@@ -67,7 +70,7 @@ def _lines(section: Section, name: str, needed: Set[str], commented_keys: set[st
 
 
 def _different(section: Section, name: str, needed: Set[str]) -> dict[str, Any]:
-    """The values that a file has to give, with the `needed` ones."""
+    """The values that a file has to give: those without a default, those that differ from it, and the `needed` ones."""
     values = {}
     for key, field in type(section).model_fields.items():
         value = getattr(section, key)
@@ -82,10 +85,12 @@ def _different(section: Section, name: str, needed: Set[str]) -> dict[str, Any]:
 
 
 def _dumped(value: Any) -> Any:
+    """A section as plain tables; any other value as it is."""
     return value.model_dump() if isinstance(value, Section) else value
 
 
 def _shipped_name(vehicle: Vehicle) -> str:
+    """Name of the shipped vehicle that is the same as this one; empty if there is none."""
     return next(
         (file.stem for file in sorted(VEHICLES.glob("*.toml")) if _dumped(load_vehicle(file.stem)) == _dumped(vehicle)), ""
     )

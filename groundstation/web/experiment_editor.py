@@ -128,6 +128,7 @@ def loadable(robots: tuple[int, ...]) -> list[str]:
 
 
 def _experiments_with_robots() -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Shipped and edited experiments that can be loaded, with their robots."""
     files = {path.stem: path for path in sorted(EXPERIMENTS.glob("*.toml"))}
     files |= {str(path): path for path in sorted(EDITED.glob("*.toml"))}
     for name, path in files.items():
@@ -178,6 +179,7 @@ def drafted(
 
 
 def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[str, Any]:
+    """A plan as the page gets it: paths, duration and figures."""
     flown = flown_samples(experiment)
     return {
         "paths": paths(trajectories, flown),

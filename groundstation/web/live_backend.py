@@ -26,12 +26,12 @@ from groundstation.web.snapshot import (
     past_row,
     snapshot,
 )
-from shoal.bus.bus import Bus, Received
+from shoal.bus.bus import Bus, Inbox, Received
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
-from shoal.messages.messages import CommandKind, Event, Preview, Trajectory
-from shoal.messages.session_clocks import is_old_line
+from shoal.messages.messages import CommandKind, Event, LocalizerStatus, Preview, Trajectory, Truth
+from shoal.messages.session_clocks import is_old_line, stamps_lines_too
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Clock, log
 
@@ -63,6 +63,13 @@ class LiveBackend:
         self._inboxes = inboxes
         cameras = experiment.camera_names or ("",)
         self._previews = {name: bus.inbox(topics.PREVIEW.of_camera(name), Preview) for name in cameras}
+        statuses = (topics.LOCALIZER.of_camera(name) for name in experiment.camera_names)
+        self._dated: list[tuple[Topic, Inbox[Any]]] = [
+            *((topics.STATE, inbox) for inbox in inboxes.states.values()),
+            (topics.TRUTH, bus.inbox(topics.TRUTH, Truth)),
+            (topics.LOCALIZER, inboxes.localizer),
+            *((topic, bus.inbox(topic, LocalizerStatus)) for topic in statuses),
+        ]  # by whose stamps lines of the log are dated
         self._events: deque[tuple[int, Header, bytes]] = deque(maxlen=MOST_EVENTS)  # with their arrival on our clock
         self._begun_ns = clock.now_ns()
         self._headers: list[Header | None] = []
@@ -174,7 +181,7 @@ class LiveBackend:
         return None if newest is None else ShownPicture(newest.header.stamp_ns, self._age(newest).age_ms, newest.message.jpeg)
 
     def notes(self) -> list[dict[str, Any]]:
-        """Events since the last call, in order: lines of the log."""
+        """Events since the last call, in the order in which they were written: lines of the log."""
         notes = []
         while self._events and not self._clocks_settle():
             at_ns, header, payload = self._events.popleft()
@@ -183,20 +190,22 @@ class LiveBackend:
             except DecodeError:
                 continue
             notes.append(event_note(event, self._event_ns(at_ns, header)))
-        return notes
+        return sorted(notes, key=lambda note: float(note["time_s"]))  # several programs give what they have kept at once
 
     def _clocks_settle(self) -> bool:
         """True just after the start, when lines of an earlier run may come before the state that shows their robot's clock."""
         return not self._clock.waits and 0 <= self._clock.now_ns() - self._begun_ns < SETTLE_NS
 
     def _event_ns(self, arrived_ns: int, header: Header) -> int:
-        """Instant at which a line of a log was written, on our clock. A robot keeps its lines, and sends those of an earlier
-        run to a station that starts. Its newest state shows its clock, and by that they are old."""
-        for inbox in self._inboxes.states.values():
-            state = inbox.newest()
-            if state is not None and state.header.session == header.session:
-                written_ns = self._clock.instant_ns(state) + header.stamp_ns - state.header.stamp_ns
-                return written_ns if is_old_line(written_ns, arrived_ns) else arrived_ns
+        """Instant at which a line of a log was written, on our clock. A program keeps its lines, and sends those of an earlier
+        run to a station that starts. What else it says shows its clock, and by that they are old."""
+        for topic, inbox in self._dated:
+            newest = inbox.newest()
+            if newest is not None and newest.header.session == header.session:
+                ahead_ns = self._clock.instant_ns(newest) - newest.header.stamp_ns
+                if stamps_lines_too(topic, ahead_ns):
+                    written_ns = header.stamp_ns + ahead_ns
+                    return written_ns if is_old_line(written_ns, arrived_ns) else arrived_ns
         return arrived_ns
 
     def remark(self, text: str) -> None:

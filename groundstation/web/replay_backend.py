@@ -38,6 +38,7 @@ from shoal.messages.messages import (
     RobotState,
     StationHeartbeat,
     Trajectory,
+    Truth,
 )
 from shoal.messages.topics import Topic
 
@@ -60,7 +61,7 @@ class LogBlock:
 
     messages: dict[tuple[str, int], Arrivals] = field(default_factory=dict)
     ahead_ns: dict[int, int] = field(default_factory=dict)
-    robots: set[int] = field(default_factory=set)  # sessions of robots: they stamp all by one clock
+    lines_ahead_ns: dict[int, int] = field(default_factory=dict)  # the same of the clocks that stamp lines of the log
 
 
 class LogPlayer:
@@ -93,6 +94,7 @@ class LogPlayer:
         return blocks
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
+        """Yield robot, time since the log's start in ns, and message of a topic, for one robot or all."""
         for line in self._log.messages(lambda t, r: t is topic and robot in (None, r)):
             message = _read(kind, line.payload)
             if message is not None:
@@ -151,13 +153,14 @@ class LogPlayer:
                 arrivals.append(line.arrived_ns - self.start_ns)
                 payloads.append(line.payload)
                 headers.append(line.header)
-                says = line.topic.type in (RobotState, LocalizerStatus) and line.arrived_ns != line.header.stamp_ns
+                says = line.topic.type in session_clocks.LINE_CLOCKS and line.arrived_ns != line.header.stamp_ns
                 held_ns = session_clocks.held_ns(line.topic, _read(line.topic.type, line.payload)) if says else None
                 if held_ns is not None:
                     session, ahead_ns = line.header.session, arrivals[-1] - line.header.stamp_ns - held_ns
-                    block.ahead_ns[session] = min(block.ahead_ns.get(session, ahead_ns), ahead_ns)
-                    if line.topic is topics.STATE:
-                        block.robots.add(session)
+                    if line.topic.type is not Truth:
+                        block.ahead_ns[session] = min(block.ahead_ns.get(session, ahead_ns), ahead_ns)
+                    if session_clocks.stamps_lines_too(line.topic, self.start_ns + ahead_ns):
+                        block.lines_ahead_ns[session] = min(block.lines_ahead_ns.get(session, ahead_ns), ahead_ns)
             self._blocks[index] = block
         self._blocks.move_to_end(index)
         while len(self._blocks) > KEPT_BLOCKS:
@@ -210,20 +213,23 @@ class LogPlayer:
         return notes
 
     def _event_ns(self, line: LogMessage, leads_ns: dict[int, int]) -> int:
-        """Instant of an event: its arrival, or the instant at which its robot wrote it if the robot has kept it since.
+        """Instant of an event: its arrival, or the instant at which its sender wrote it if the sender has kept it since.
 
-        `leads_ns` holds by how much the log's clock is ahead of a robot's, by the robot's session; missing ones are added.
+        `leads_ns` holds by how much the log's clock is ahead of a sender's, by the sender's session; missing ones are added.
         """
         session, arrived_ns = line.header.session, line.arrived_ns - self.start_ns
-        index = arrived_ns // BLOCK_NS + 1  # lines that were kept come with the robot's first state
+
+        def nearby_ns() -> list[int]:
+            blocks = self._before(arrived_ns // BLOCK_NS + 1)  # lines that were kept come with the sender's first state
+            return [block.lines_ahead_ns[session] for block in blocks if session in block.lines_ahead_ns]
+
         if session not in leads_ns:
-            nearby_ns = [block.ahead_ns[session] for block in self._before(index) if session in block.robots]
-            if not nearby_ns:
+            if not (leads := nearby_ns()):
                 return arrived_ns
-            leads_ns[session] = min(nearby_ns)
+            leads_ns[session] = min(leads)
         written_ns = line.header.stamp_ns + leads_ns[session]
-        if session_clocks.is_old_line(written_ns, arrived_ns):  # unless the robot's clock was set meanwhile
-            written_ns = self._instant_ns(line.header, arrived_ns, index)
+        if session_clocks.is_old_line(written_ns, arrived_ns):  # unless the sender's clock was set meanwhile
+            written_ns = line.header.stamp_ns + min(leads) if (leads := nearby_ns()) else arrived_ns
         return written_ns if session_clocks.is_old_line(written_ns, arrived_ns) else arrived_ns
 
     def past(self) -> list[dict[str, Any]]:
@@ -423,6 +429,7 @@ class ReplayBackend:
         )
 
     def _view(self, robot: int, news: RobotSnapshot, now_ns: int) -> RobotView:
+        """A robot as a station would have seen it at an instant of the log."""
         ages_s = [n.age_ms * 1e-3 if n.message is not None else math.inf for n in (news.state, news.pose)]
         ages_s.append(self._log.plan_age_s(news.plan, robot, now_ns))
         link = self._log.link(robot, now_ns)
@@ -444,6 +451,7 @@ class ReplayBackend:
         return {robot: max(bisect_right([at for at, _ in changes], now) - 1, 0) for robot, changes in segments.items()}
 
     def _paths_of(self, flown: Mapping[int, int]) -> list[dict[str, Any]]:
+        """The paths that robots flew, each from where it leaves the one before; `flown`: index of each robot's segment."""
         path_list, segments = [], self._log.segments
         for robot, k in flown.items():
             trajectory = segments[robot][k][1]

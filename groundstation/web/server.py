@@ -166,6 +166,7 @@ class WebServer:
         return self._hub.watched
 
     def _run(self) -> None:
+        """Serve the page in this thread. An error is logged, and ends the page but not the flight."""
         try:
             with asyncio.Runner(loop_factory=_Loop) as runner:
                 self._loop = runner.get_loop()

@@ -119,6 +119,7 @@ def event_note(event: Event, at_ns: int) -> dict[str, Any]:
 
 
 def _request(outcome: Outcome) -> dict[str, Any]:
+    """The outcome of a request, as the page gets it."""
     return {
         "request": outcome.request,
         "order": order_name(outcome.order),
@@ -130,6 +131,7 @@ def _request(outcome: Outcome) -> dict[str, Any]:
 
 
 def _robot(robot: int, news: RobotSnapshot) -> dict[str, Any]:
+    """One robot's state, pose and plan, as far as they are known, as the page gets them."""
     fields: dict[str, Any] = {"id": robot, "age_ms": news.state.age_ms}
     if news.state.message is not None:
         fields["state"] = page_form(news.state.message)
@@ -149,6 +151,7 @@ def page_form(message: Any) -> dict[str, Any]:
 
 
 def _page_value(value: Any) -> Any:
+    """A value of a message in the form that JSON has."""
     if isinstance(value, np.ndarray):
         return floats(value)
     if isinstance(value, IntEnum):

@@ -119,6 +119,7 @@ def _in_picture(camera: Camera, pixels: Array) -> NDArray[np.bool_]:
 
 
 def _curve(picture: Pixels, view: RefractiveCamera, points: Array, colour: Bgr, thickness: int) -> None:
+    """Draw a line through pool points (n, 3) as the camera sees it; pieces that it cannot see are left out."""
     pixels = _true_pixels(view, points)
     good = np.isfinite(pixels[:, 0])
     for run in np.split(np.arange(len(points)), np.flatnonzero(np.diff(good)) + 1):

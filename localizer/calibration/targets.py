@@ -105,6 +105,7 @@ def parse_target(text: str) -> CalibrationTarget:
 
 
 def _counts(board: str, text: str) -> tuple[int, int]:
+    """Parse COLUMNSxROWS of a board. Raises ConfigError."""
     numbers = text.split("x")
     if len(numbers) == 2 and all(n.isdecimal() and 3 <= int(n) <= _LARGEST_COUNT for n in numbers):
         return int(numbers[0]), int(numbers[1])

@@ -102,6 +102,7 @@ class BlobTracker:
         self.blobs = ()
 
     def _with_id(self, blob: TrackedBlob) -> TrackedBlob:
+        """The blob, with the next number once it has lasted _PERSISTS_S."""
         if blob.id or blob.stamps_ns[-1] - blob.since_ns < _PERSISTS_S * 1e9:
             return blob
         self._numbers += 1

@@ -117,6 +117,7 @@ class CorrelationFilter:
 
 
 def _window(shape: FilterShape) -> Real:
+    """A Hann window (rows, columns), or ones for a filter without one."""
     if not shape.windowed:
         return np.ones((shape.rows, shape.columns), np.float32)
     # periodic rather than symmetric: its peak lies ON sample n // 2, where the patch's centre is

@@ -168,6 +168,7 @@ class ObstacleDetector:
         return [self._region(np.asarray(labels == label)) for label in largest_first if areas[label] >= self._least_m2]
 
     def _region(self, cells: Mask) -> Blob:
+        """A region of grid cells as a blob: its centre of area and convex outline, in the pool."""
         row, column = np.nonzero(cells)
         around = np.stack([self._corners_m[row + i, column + j] for i in (0, 1) for j in (0, 1)])  # (4, cells, 2)
         weight = self._cell_m2[row, column]

@@ -181,6 +181,7 @@ class PoseTable:
 
 
 def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...]:
+    """A line of the pose table: one robot in one frame."""
     sigmas = np.sqrt(np.diag(pose.covariance))
     numbers = (pose.x_m, pose.y_m, pose.yaw_rad, pose.depth_m)
     return (

@@ -62,4 +62,4 @@ class CameraFeed:
             self._session.trouble = str(error)
             return
         if not self._stop.requested:
-            self._session.trouble = "the recording is over; its last picture stays"
+            self._session.end_recording()

@@ -67,6 +67,7 @@ class SetupSession:
         self._captured: CapturedFrame | None = None
         self._grey: Pixels | None = None
         self._mean_interval_s, self.trouble = 0.0, "waiting for the first picture"
+        self._over = False  # the source was a recording, and there is no more of it
         self._board = DEFAULT_BOARD
         self._works: dict[tuple[int, int], CameraWork] = {}
         self._work = self._work_at(experiment.camera.size_px)
@@ -111,6 +112,13 @@ class SetupSession:
             camera = self._work.camera
             px_per_m = None if camera is None else camera.px_per_m
         self._figures = self._judge.judge(captured.pixels, grey, self._exposure_s(), px_per_m)
+
+    def end_recording(self) -> None:
+        """Take in that no picture comes any more: the last one stays, which is no trouble."""
+        with self._lock:
+            self._over = True
+            if self._captured is not None:
+                self.trouble = ""
 
     def look_for_board(self) -> None:
         """Offer the newest picture to the lens's step, if views are being collected."""
@@ -165,6 +173,8 @@ class SetupSession:
             notes = [self._note] if self._note else []
             if pages > 1:
                 notes.append(f"{pages} pages are open: all see and change the same setup")
+            if self._over:
+                notes.append("the recording is over; its last picture stays")
             if work.camera is None:
                 notes.append(self._no_lens())
             if work.lens_fit is not None and work.pose_fit is None:

@@ -18,6 +18,7 @@ class FrameCount:
         self._session = self._last = 0
 
     def note(self, received: Received[Frame]) -> int:
+        """Count the frames that were dropped before a received one, by its sequence number. Returns their number so far."""
         session, sequence = received.header.session, received.header.sequence
         if session == self._session and sequence > self._last:
             self.dropped += sequence - self._last - 1

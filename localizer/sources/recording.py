@@ -188,6 +188,7 @@ class FrameRecorder:
         )
 
     def _end(self, what: str) -> None:
+        """End the recording, and report why."""
         self._ended = self._failed = True
         with suppress(OSError):
             self._file.close()

@@ -163,6 +163,7 @@ class V4l2Source:
     # --- the grabbing thread
 
     def _keep_grabbing(self) -> None:
+        """Open the camera and grab frames, again after each failure, until the source is closed."""
         while not self._closing.is_set():
             try:
                 self._attempt()

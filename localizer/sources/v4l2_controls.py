@@ -100,6 +100,7 @@ def _is_number(control: Any) -> bool:
 
 
 def _control(control: Any) -> CameraControl:
+    """A control of linuxpy as the setup page gets it."""
     info = control._info  # linuxpy hides a switch's default and range
     choices = tuple((int(k), str(v)) for k, v in control.data.items()) if hasattr(control, "data") else ()
     return CameraControl(

@@ -172,7 +172,10 @@ def _open(path: Path, *options: int) -> cv2.VideoCapture:
 
 
 def _packet_stamps_ms(path: Path, listed: int) -> list[float]:
-    """Stamps of all packets in the order in which they are shown. Nothing is decoded."""
+    """Stamps in ms of all packets of a file, in the order in which they are shown. Nothing is decoded.
+
+    `listed`: pictures by the file's index, 0 if unknown. As many reads may fail as pictures of the index are still missing.
+    """
     capture, stamps_ms, failures = _open(path, cv2.CAP_PROP_FORMAT, -1), list[float](), 0
     try:
         while failures <= max(listed - len(stamps_ms), 0):

@@ -210,7 +210,8 @@ class CameraFusion:
         return [f"cameras {' and '.join(doubted)} disagreed: their poses are in doubt by {1e3 * max(doubted.values()):.0f} mm"]
 
     def _follow(self, robot: int, measured: Sequence[_Candidate], step_s: float) -> tuple[set[str], set[str]]:
-        """The cameras that measure a robot and were within its motion a short while ago, and those that are within it now."""
+        """Note which cameras measure a robot within the gate of its predicted motion. Returns, of those that measure it, the
+        cameras that did so within the last _FOLLOWED_S, and those that do so now."""
         names = {candidate.camera for candidate in measured}
         followed = {name for name in names if self._within_s.get((name, robot), math.inf) <= _FOLLOWED_S}
         within = {candidate.camera for candidate in measured if not self._left_motion(robot, candidate)}
@@ -220,6 +221,7 @@ class CameraFusion:
         return followed, within
 
     def _left_motion(self, robot: int, candidate: _Candidate) -> bool:
+        """True if a camera's pose is outside the gate of the robot's predicted motion, or there is no prediction."""
         motion = self._motions.get(robot)
         if motion is None:
             return True

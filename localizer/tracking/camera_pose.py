@@ -15,7 +15,7 @@ import numpy as np
 
 from localizer.camera_model import LocalLinearization, RefractiveCamera
 from localizer.detection.fiducials import find_markers, marker_detector, square
-from localizer.detection.image_regions import Pixels, cut, whole
+from localizer.detection.image_regions import ImageRegion, Pixels, cut, whole
 from shoal.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
 from shoal.frames import Array, body_to_pool
 
@@ -134,15 +134,21 @@ class CameraPoseTracker:
     def _read_landmarks(self, frame: Pixels) -> dict[int, Array] | None:
         """Corners (4, 2) px of the landmarks seen, by index, in a fixed order; None in frames without an attempt."""
         if not self.usable:
-            return self._pick(frame, scan=True) if self._frames % _SCAN_EVERY == 1 else None
-        corners = self._pick(frame, scan=False)
-        return corners if len(corners) >= LANDMARKS_NEEDED else self._pick(frame, scan=True)
+            return self._read_in([whole(frame)]) if self._frames % _SCAN_EVERY == 1 else None
+        corners = self._read_in(self._expected_regions(frame))
+        return corners if len(corners) >= LANDMARKS_NEEDED else self._read_in([whole(frame)])
 
-    def _pick(self, frame: Pixels, scan: bool) -> dict[int, Array]:
-        expected = self.view.pool_to_pixel(self._corners.mean(axis=1))
-        reach = np.linalg.norm(self.view.pool_to_pixel(self._corners) - expected[:, None], axis=2).max(axis=1) + _MARGIN_PX
-        regions = [whole(frame)] if scan else [cut(frame, *place) for place in zip(expected, reach, strict=True)]
-        images = [image for region in regions if region is not None for image in find_markers(self._detector, region)]
+    def _expected_regions(self, frame: Pixels) -> list[ImageRegion]:
+        """The parts of a frame in which the present pose puts the landmarks."""
+        middles_px = self.view.pool_to_pixel(self._corners.mean(axis=1))
+        to_corners_px = np.linalg.norm(self.view.pool_to_pixel(self._corners) - middles_px[:, None], axis=2)
+        reaches_px = to_corners_px.max(axis=1) + _MARGIN_PX
+        regions = [cut(frame, middle, reach) for middle, reach in zip(middles_px, reaches_px, strict=True)]
+        return [region for region in regions if region is not None]
+
+    def _read_in(self, regions: Sequence[ImageRegion]) -> dict[int, Array]:
+        """Corners (4, 2) px of the landmarks that are read in regions of a frame, by index in rising order."""
+        images = [image for region in regions for image in find_markers(self._detector, region)]
         corners = {self._index[image.id]: image.corners_px for image in images if image.id in self._index}
         return {i: corners[i] for i in sorted(corners)}
 

@@ -183,6 +183,7 @@ class FleetLocalizer:
     # --- in the order of `locate` and `finish`
 
     def _predict(self, stamp_ns: int) -> None:
+        """Advance camera pose, tracks and motion estimates to this exposure."""
         elapsed_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / 1e9
         self._stamp_ns = stamp_ns
         step_s = min(max(elapsed_s, 0.0), _LONGEST_STEP_S)
@@ -199,15 +200,17 @@ class FleetLocalizer:
     def _views_at(
         self, frame: Pixels, depths: Sequence[Depth], places: Mapping[int, Array], sigmas_m: Mapping[int, float]
     ) -> dict[int, PredictedView]:
-        """Parts of the picture in which robots are looked for, by index, around their predicted places."""
+        """Views of robots, by index, at `places` (2,) in the pool with standard deviations `sigmas_m`: each with the region of
+        the picture in which to look for it. A robot whose place is not in the picture has no view."""
         plates_m = [depths[i].plate_m for i in places]
         tangents = self.view.linearize(list(places.values()), plates_m)
+        covariances = self._camera_pose.uncertainty(tangents, plates_m)
         views, slope_rad, tilts_rad = {}, self._settings.surface_slope_rad, self._tilts_rad()
-        for i, tangent, mapping in zip(places, tangents, self._camera_pose.uncertainty(tangents, plates_m), strict=True):
-            sigma_m = sigmas_m[i] + float(np.sqrt(mapping[0, 0] + mapping[1, 1]))
-            around_m = _REGION_SIGMAS * min(sigma_m, _WIDEST_SIGMA_M)
-            region = cut(frame, tangent.pixel, (self._appearance.reach_m + around_m) * tangent.px_per_m)
-            plate = cut(frame, tangent.pixel, (self._plate_reach_m + around_m) * tangent.px_per_m)
+        for i, tangent, camera_covariance in zip(places, tangents, covariances, strict=True):
+            camera_sigma_m = float(np.sqrt(camera_covariance[0, 0] + camera_covariance[1, 1]))
+            margin_m = _REGION_SIGMAS * min(sigmas_m[i] + camera_sigma_m, _WIDEST_SIGMA_M)
+            region = cut(frame, tangent.pixel, (self._appearance.reach_m + margin_m) * tangent.px_per_m)
+            plate = cut(frame, tangent.pixel, (self._plate_reach_m + margin_m) * tangent.px_per_m)
             if region is not None:
                 views[i] = PredictedView(
                     i,
@@ -216,7 +219,7 @@ class FleetLocalizer:
                     body_to_level(*tilts_rad[i]),
                     slope_rad,
                     tangent,
-                    mapping,
+                    camera_covariance,
                     region,
                     plate or region,
                 )
@@ -476,6 +479,8 @@ class FleetLocalizer:
         return self._tracks[robot].state is Track.LOST
 
     def _is_certain(self, robot: int) -> bool:
+        """True if a robot's pose is good enough to learn its appearance there. Without markers, the first pose is the
+        start's."""
         track = self._tracks[robot]
         if self._settings.markers:
             return track.state is Track.MARKER and track.measured is not None and track.verified

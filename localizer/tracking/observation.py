@@ -89,7 +89,7 @@ class PredictedView:
     body_to_level: Array  # (3, 3), rotation by roll and pitch, as far as they are known
     slope_rad: float  # standard deviation of the water's slope, which bends the line of sight by (1 - 1/n) of it
     tangent: LocalLinearization
-    mapping: Array  # (3, 3), covariance of [x, y, yaw] here due to the error of the camera's pose
+    camera_covariance: Array  # (3, 3), of [x, y, yaw] measured here, due to the error of the camera's pose
     region: ImageRegion
     plate: ImageRegion  # the part of it that the marker plate is expected in
 
@@ -144,6 +144,12 @@ class PredictedView:
         yaw_rad2 = (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
         covariance = np.empty((3, 3))
         kernels.measurement_covariance(
-            self.tangent.jacobian, self.mapping + own, noise.centre_px, self.depth.sigma_m, round_m2, yaw_rad2, covariance
+            self.tangent.jacobian,
+            self.camera_covariance + own,
+            noise.centre_px,
+            self.depth.sigma_m,
+            round_m2,
+            yaw_rad2,
+            covariance,
         )
         return TrackMeasurement(pose, covariance, peak)

@@ -175,6 +175,7 @@ class RobotTrack:
         return replace(self.contradicted(), claim=Claim(measurement.pose))
 
     def _is_reachable(self, pose: Array, jump_m: float) -> bool:
+        """True if a pose is near enough to the predicted place of a followed robot to be the same robot."""
         if self.motion is None or self.state is Track.LOST:
             return False
         moved_m = float(np.linalg.norm(pose[:2] - self.motion.position_m))

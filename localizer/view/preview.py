@@ -121,6 +121,7 @@ class PreviewPublisher:
             self._worker.offer(_PreviewItem(captured, result, stamp_ns, obstacles, message, on_bus, on_page))
 
     def _make(self, item: _PreviewItem) -> None:
+        """Publish the raw frame of an item, and draw its preview if somebody looks."""
         try:
             self._publish_raw(item)
         finally:
@@ -136,6 +137,7 @@ class PreviewPublisher:
         return 0 if item.captured is None else max(self._clock.now_ns() - item.captured.instant_ns, 0)
 
     def _draw_and_show(self, item: _PreviewItem) -> None:
+        """Draw and show a preview; if drawing fails, a blank one with the reason."""
         try:
             picture = self._picture(item)
         except Exception as error:
@@ -149,6 +151,7 @@ class PreviewPublisher:
         return _blank(item.message)
 
     def _show(self, picture: Pixels, item: _PreviewItem) -> None:
+        """Encode a picture as JPEG, and give it to the bus and the page that want it."""
         _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         jpeg = encoded.tobytes()
         if item.on_bus:

@@ -57,6 +57,7 @@ class LatestItemWorker(Generic[T]):
         self._thread.join()
 
     def _work(self) -> None:
+        """Work on the newest item, as often as there is a new one, until closed."""
         self._begin()
         while not self._closing.is_set():
             item = self._newest.take(SLICE_S)

@@ -122,7 +122,8 @@ class Controller(ABC):
         return self._steer(goal, measurement, estimate, predictions, obstacles, now_ns)
 
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
-        """Take note of the wrench asked for and delivered that really went out at `now_ns` instead of the last step's."""
+        """Correct the last step's wrenches: the one asked for and the `delivered` one whose pulses really went out at
+        `now_ns`."""
         self._wrench, self._delivered = wrench, delivered
         self._estimator.note_wrench(delivered, now_ns)
 
@@ -136,9 +137,9 @@ class Controller(ABC):
         obstacles: Sequence[Obstacle],
         now_ns: int,
     ) -> ControlOutput:
-        """Plan towards the goal, and convert the plan's beginning to pulses."""
+        """Plan towards the goal, and convert the plan's first wrench to pulses."""
 
-    def _lead(
+    def _clear_reference(
         self,
         goal: Goal,
         reference: Reference,
@@ -147,26 +148,27 @@ class Controller(ABC):
         obstacles: Sequence[Obstacle],
         now_ns: int,
     ) -> Reference:
-        """The reference around what is in the way of a robot on its path; `reference` itself if nothing is."""
+        """A reference clear of robots and obstacles, for a robot that follows its path; `reference` itself if nothing is in
+        the way, or for another goal."""
         if not isinstance(goal, Follow):
             return reference
         keep_m = self.formation.clearances_m(predictions, now_ns)
         return self._give_way.way_around(reference, estimate.eta, predictions, keep_m, obstacles, now_ns)
 
     def _neutral(self, estimate: Observation | None, now_ns: int) -> ControlOutput:
-        """Output with thrusters off. The plan is forgotten; neighbours get where the robot stays."""
+        """The output at neutral. The plan is forgotten; neighbours get the poses of a robot that drifts."""
         self._give_way.reset()
         self.goal = None
-        self._forget()
+        self._forget_plan()
         self.note_command(self._still, self._still, now_ns)
         self._priority = Priority(self._urgent, 0.0)
-        stay = np.zeros((len(self._reported_rows), 4)) if estimate is None else self._drift(estimate)
-        return ControlOutput(self.allocator.neutral_us, estimate, None, stay, stay)
+        poses = np.zeros((len(self._reported_rows), 4)) if estimate is None else self._drift_poses(estimate)
+        return ControlOutput(self.allocator.neutral_us, estimate, None, poses, poses)
 
     @abstractmethod
-    def _forget(self) -> None:
+    def _forget_plan(self) -> None:
         """Forget the plan, as the thrusters are at neutral."""
 
     @abstractmethod
-    def _drift(self, estimate: Observation) -> Array:
+    def _drift_poses(self, estimate: Observation) -> Array:
         """Poses (rows, 4) of a robot without thrust, at the instants that neighbours get."""

@@ -87,20 +87,21 @@ def make_law(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s:
     if config.law == "eso-mpc-article":
         return Mpc(vehicle, model, config.mpc, period_s, rows)
     if ":" in config.law:
-        law = _own(config.law)(vehicle, model, config, period_s)
+        law = _import_maker(config.law)(vehicle, model, config, period_s)
         return law if hasattr(law, "plan") else Feedback(law, vehicle, model, period_s, config.mpc.horizon)
     surge_n, heave_n, yaw_nm = vehicle.limits.wrench[:3]  # these laws know no other axis
     parts = LawParts(Axes(model, (surge_n, heave_n, yaw_nm)), vehicle, model, config, period_s)
     return Feedback(LAWS[config.law](parts), vehicle, model, period_s, config.mpc.horizon)
 
 
-def _own(name: str) -> Callable[[Vehicle, Model, ControllerConfig, float], Any]:
-    """The maker of a law of one's own, a `Law` or a `FeedbackLaw`. Raises ConfigError if it cannot be imported."""
-    module, _, maker = name.partition(":")
+def _import_maker(name: str) -> Callable[[Vehicle, Model, ControllerConfig, float], Any]:
+    """Import the class or function MODULE:NAME that makes a user's `Law` or `FeedbackLaw`. Raises ConfigError if there is
+    none."""
+    module, _, attribute = name.partition(":")
     try:
-        own_maker = getattr(importlib.import_module(module), maker)
+        maker = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError) as error:
         raise ConfigError(f"controller.law = {name!r}: {error} (install its package where the agent runs)") from None
-    if not callable(own_maker):
+    if not callable(maker):
         raise ConfigError(f"controller.law = {name!r}: must name a class or a function")
-    return cast("Callable[[Vehicle, Model, ControllerConfig, float], Any]", own_maker)
+    return cast("Callable[[Vehicle, Model, ControllerConfig, float], Any]", maker)

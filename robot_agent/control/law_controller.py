@@ -71,10 +71,10 @@ class LawController(Controller):
         obstacles: Sequence[Obstacle],
         now_ns: int,
     ) -> ControlOutput:
-        self._take_up(goal)
+        self._reset_on_new_goal(goal)
         reference = self.sampler.sample(goal)
-        lead = self._lead(goal, reference, estimate, predictions, obstacles, now_ns)
-        weight, command = self._command(goal, lead, lead is not reference, predictions, estimate)
+        clear_reference = self._clear_reference(goal, reference, estimate, predictions, obstacles, now_ns)
+        weight, command = self._command(goal, clear_reference, clear_reference is not reference, predictions, estimate)
         keep_clear = NOWHERE
         if isinstance(self._law, Mpc):
             keep_clear = self.formation.half_spaces(predictions, estimate.action[:4], self._priority, now_ns)
@@ -82,11 +82,11 @@ class LawController(Controller):
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current,
             self._delivered,
         )  # fmt: skip
-        is_free = lead is reference and not keep_clear.binds(plan.eta)
-        return self._put_out(plan, estimate, reference, lead, command, is_free, now_ns)
+        is_free = clear_reference is reference and not keep_clear.binds(plan.eta)
+        return self._output(plan, estimate, reference, clear_reference, command, is_free, now_ns)
 
-    def _take_up(self, goal: Goal) -> None:
-        """Clear the heading memory at a goal of another kind."""
+    def _reset_on_new_goal(self, goal: Goal) -> None:
+        """Clear heading and avoidance memory at a goal of another kind."""
         before, self.goal = self.goal, goal
         if is_other_goal(before, goal):
             self._heading.reset()
@@ -94,48 +94,53 @@ class LawController(Controller):
             self._turns = None
 
     def _command(
-        self, goal: Goal, lead: Reference, is_led: bool, predictions: NeighbourPredictions, estimate: Observation
+        self,
+        goal: Goal,
+        clear_reference: Reference,
+        is_avoiding: bool,
+        predictions: NeighbourPredictions,
+        estimate: Observation,
     ) -> tuple[Array, Array]:
-        """Return the weight W (4,) and the reference with formation terms (35) and heading, (horizon + 2, 4): now and all
-        nodes."""
-        command, weight, is_resting = lead.eta.copy(), self._weight, isinstance(goal, Hold)
+        """Weight W (4,) and commanded poses (horizon + 2, 4), now and at all nodes: the reference with the formation's terms
+        (35) and the heading in which surge corrects lateral errors."""
+        command, weight, is_resting = clear_reference.eta.copy(), self._weight, isinstance(goal, Hold)
         if isinstance(goal, Drive):  # a person steers
             return weight, self._unwound(command, estimate)
         pull = None if is_resting else self.formation.pull(predictions, weight)
         if pull is not None:
             moved, weight = pull
             command += np.concatenate([moved[:1], moved])
-        if is_resting or is_led or not self._is_article:
-            command[:, 3] += self._heading.turn(lead, estimate, is_resting)
+        if is_resting or is_avoiding or not self._is_article:
+            command[:, 3] += self._heading.turn(clear_reference, estimate, is_resting)
         else:
             self._heading.reset()
         return weight, self._unwound(command, estimate)
 
     def _unwound(self, command: Array, estimate: Observation) -> Array:
-        """The command (rows, 4) with as many whole turns as the estimate has."""
-        away = (estimate.eta.item(3) - command.item(3)) / TURN
-        if self._turns is None or abs(away - self._turns) > KEEP_TURN:
-            self._turns = round(away)
+        """The command (rows, 4) with as many whole turns of yaw as the estimate has."""
+        apart_turns = (estimate.eta.item(3) - command.item(3)) / TURN
+        if self._turns is None or abs(apart_turns - self._turns) > KEEP_TURN:
+            self._turns = round(apart_turns)
         if self._turns:
             command[:, 3] += TURN * self._turns
         return command
 
-    def _put_out(
+    def _output(
         self,
         plan: MpcPlan,
         estimate: Observation,
         reference: Reference,
-        lead: Reference,
+        clear_reference: Reference,
         command: Array,
         is_free: bool,
         now_ns: int,
     ) -> ControlOutput:
-        """Convert a plan to pulses and output."""
+        """Convert a plan's wrench to pulses, remember it, and collect the step's output."""
         failed = plan.solve is Solve.FAILED
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(plan.wrench)
         wrench_step = plan.wrench - self._wrench
         self.note_command(plan.wrench, delivered, now_ns)
-        goal, rows, path = reference.eta[0].copy(), np.empty(command.shape), lead.eta.copy()
+        goal, rows, path = reference.eta[0].copy(), np.empty(command.shape), clear_reference.eta.copy()
         rows[0], rows[1:], path[:, 3] = estimate.eta, plan.eta, command[:, 3]
         plan_eta = interpolate(rows, self._reported_rows)
         # Without the formation's pull: neighbours who shared a deviation would else see less of it, the less the more they are
@@ -164,9 +169,9 @@ class LawController(Controller):
             avoids=not is_free,
         )
 
-    def _forget(self) -> None:
+    def _forget_plan(self) -> None:
         self._law.reset()
         self._heading.reset()
 
-    def _drift(self, estimate: Observation) -> Array:
+    def _drift_poses(self, estimate: Observation) -> Array:
         return np.tile(estimate.eta, (len(self._reported_rows), 1))

@@ -57,7 +57,7 @@ class Mpc:
     """Model predictive controller of one robot, with its workspaces and memory."""
 
     def __init__(self, vehicle: Vehicle, model: Model, config: MpcConfig, period_s: float, rows: int) -> None:
-        """`rows` is the largest number of half-spaces."""
+        """Build the quadratic program once, with room for `rows` half-spaces at most."""
         self._period_s, self._n, self._nodes = period_s, len(config.blocks), config.horizon + 1
         self._limit, self._step_limit = np.array(vehicle.limits.wrench[:3]), np.array(vehicle.limits.wrench_step(period_s)[:3])
         self._model = make_linear_model(model, period_s, config.horizon, config.blocks)
@@ -79,7 +79,8 @@ class Mpc:
 
     def tune(self, config: MpcConfig) -> None:
         """Use other weights from the next step on; the plan stays."""
-        n, per_node = self._n, WEIGHED_S / self._period_s  # twice as many nodes a second count twice: so must a change
+        # The cost sums errors over nodes: with more nodes a second they weigh more, and so must changes of the wrench.
+        n, per_node = self._n, WEIGHED_S / self._period_s
         difference, r = np.eye(n) - np.eye(n, k=-1), per_node * np.array(config.r)
         smooth = [r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
         slack = config.slack * max(1.0, *config.q[:2], *config.q_formation[:2])

@@ -74,8 +74,9 @@ def sample_plan(plan: PlanRows, at_s: Floats, most_m: float, pose: Table, deviat
 
 
 @kernel
-def now_and_meant(plan: PlanRows, age_s: float) -> tuple[complex, float, complex]:
-    """Place and depth that a plan has now, and the velocity that its robot means to have."""
+def present_motion(plan: PlanRows, age_s: float) -> tuple[complex, float, complex]:
+    """Place (m) and depth (m) that a plan of an age has now, and its reference's velocity (m/s): the one that its robot
+    intends, without what it does to avoid others."""
     last, eta, track = len(plan.eta) - 1, plan.eta, plan.reference
     now = int(min(max(np.rint(age_s / plan.period_s), 0.0), float(last)))
     then = min(now + int(max(np.rint(MEANT_S / plan.period_s), 1.0)), last)
@@ -85,9 +86,9 @@ def now_and_meant(plan: PlanRows, age_s: float) -> tuple[complex, float, complex
 
 
 @kernel
-def write_meant_way(plan: PlanRows, age_s: float, way: Complexes) -> None:
-    """Write the way (steps,) that a plan's robot means to go from now on: places WAY_STEP_S apart, less the present one. After
-    a plan's end it goes straight on; of a plan that is used up it rests."""
+def write_intended_way(plan: PlanRows, age_s: float, way: Complexes) -> None:
+    """Write the reference's `way` (steps,) from now on: its places WAY_STEP_S apart, less the present one, in m. Beyond the
+    plan's end it goes straight on; for a plan that has ended already it rests."""
     track, last, now = plan.reference, len(plan.eta) - 1, max(age_s / plan.period_s, 0.0)
     here = 0j
     for i in range(-1, len(way)):
@@ -103,15 +104,27 @@ def write_meant_way(plan: PlanRows, age_s: float, way: Complexes) -> None:
             way[i] = place - here if now < last else 0j
 
 
+def plan_rows(plan: Plan) -> PlanRows | None:
+    """The poses of a plan; None if its numbers cannot be poses."""
+    rows = PlanRows(np.array(plan.eta), np.array(plan.eta_reference), plan.period_s)
+    return rows if are_poses(rows) else None
+
+
 def rest_of_plan(plan: Plan, age_s: float, place: complex) -> Plan:
     """The rest of a plan of that age, moved to where its robot is seen: a robot that has fallen silent may still fly it, and
     in the end it rests where it is, not where it meant to."""
-    if not are_poses(PlanRows(np.array(plan.eta), np.array(plan.eta_reference), plan.period_s)) or not abs(place) < ABSURD:
+    if plan_rows(plan) is None or not abs(place) < ABSURD:
         return plan
     first = min(max(round(age_s / plan.period_s), 0), len(plan.eta) - 1)
     moved = np.array([place.real, place.imag, 0.0, 0.0])
     moved[:2] -= plan.eta[first, :2]
     return replace(plan, eta=plan.eta[first:] + moved, eta_reference=plan.eta_reference[first:] + moved)
+
+
+def plan_at_rest(place: complex, depth_m: float) -> Plan:
+    """The plan of a robot that is seen at a place, and of which nothing else is known: it rests."""
+    eta = np.array([[place.real, place.imag, depth_m, 0.0]])
+    return Plan(MEANT_S, eta, eta)
 
 
 class Neighbour(NamedTuple):
@@ -223,9 +236,8 @@ class Formation:
             return self._nobody
         used, plans = list[Neighbour](), list[PlanRows]()
         for neighbour in neighbours:
-            plan = neighbour.plan
-            rows = PlanRows(np.array(plan.eta), np.array(plan.eta_reference), plan.period_s)
-            if are_poses(rows):
+            rows = plan_rows(neighbour.plan)
+            if rows is not None:
                 used.append(neighbour)
                 plans.append(rows)
         if not used:
@@ -236,8 +248,8 @@ class Formation:
         depth, way = np.empty(count), np.empty((count, WAY_STEPS), np.complex128)
         for i, (neighbour, rows) in enumerate(zip(used, plans, strict=True)):
             age_s = (now_ns - neighbour.stamp_ns) / NS
-            place[i], depth[i], velocity[i] = now_and_meant(rows, age_s)
-            write_meant_way(rows, age_s, way[i])
+            place[i], depth[i], velocity[i] = present_motion(rows, age_s)
+            write_intended_way(rows, age_s, way[i])
             sample_plan(rows, self._nodes_s + age_s, self._most_m, pose[i], deviation)
             if neighbour.fresh and neighbour.formation:
                 total += deviation

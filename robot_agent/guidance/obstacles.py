@@ -61,13 +61,15 @@ class OwnHullFilter:
         self._others: frozenset[int] = frozenset()  # ids of obstacles that have been clear of the hull
 
     def exclude(self, obstacles: Sequence[Obstacle], place: complex, now_ns: int) -> tuple[Obstacle, ...]:
-        """Return the obstacles that are other bodies than the robot at `place`. An obstacle not seen lately is compared at the
-        place where it was seen."""
-        others = tuple(t for t in obstacles if t.id in self._others or not self._is_hull(t, place, now_ns))
+        """Return the obstacles without the robot's own hull at `place`, x + iy in the pool frame, and remember their ids: an
+        obstacle returned once is another body from then on."""
+        others = tuple(o for o in obstacles if o.id in self._others or not self._is_hull(o, place, now_ns))
         self._others = frozenset(obstacle.id for obstacle in others)
         return others
 
     def _is_hull(self, obstacle: Obstacle, place: complex, now_ns: int) -> bool:
+        """True if an obstacle overlaps the hull at `place`. One not seen lately is compared where it was seen, without its
+        predicted motion."""
         at_ns = obstacle.instant_ns if is_old(obstacle.age_s(now_ns)) else now_ns
         return obstacle.overlaps(place, self._hull_m, at_ns)
 
@@ -90,27 +92,28 @@ def obstacles_from_message(message: Obstacles, instant_ns: int, keep_m: float) -
     for number, outline, velocity, unseen_s in zip(message.ids, message.outline, message.velocity, seen_s, strict=False):
         if not np.abs(outline).max() < ABSURD_M:  # false for NaN too
             continue
-        corners, speed = outline[:, 0] + 1j * outline[:, 1], _believed(complex(velocity[0], velocity[1]))
-        pieces = _along(corners)
+        corners, velocity_mps = outline[:, 0] + 1j * outline[:, 1], _limited(complex(velocity[0], velocity[1]))
+        pieces = _edge_points(corners)
         middle = complex(pieces.mean())
         seen_ns = instant_ns - round(unseen_s * 1e9)
-        obstacles.append(Obstacle(number, pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
+        reach_m = float(np.abs(pieces - middle).max())
+        obstacles.append(Obstacle(number, pieces, keep_m, velocity_mps, seen_ns, middle, reach_m))
     return tuple(obstacles)
 
 
-def _believed(velocity: complex) -> complex:
-    """Velocity limited to FASTEST_MPS; zero if it is not finite."""
+def _limited(velocity: complex) -> complex:
+    """Velocity in m/s, limited to FASTEST_MPS; zero if it is not finite."""
     if not math.isfinite(abs(velocity)):
         return 0j
     return velocity * min(1.0, FASTEST_MPS / max(abs(velocity), FASTEST_MPS))
 
 
 def grown_with_age(obstacle: Obstacle, safety: Safety, now_ns: int) -> Obstacle:
-    """The area in which an obstacle may be by now that was not seen for long."""
+    """The area in which an obstacle that was last seen a while ago may be by now, as an obstacle that rests."""
     age_s = obstacle.age_s(now_ns)
     drift = drift_m(safety, np.array([obstacle.velocity.real, obstacle.velocity.imag]), age_s)
     corners = swept(np.column_stack([obstacle.edge_points.real, obstacle.edge_points.imag]), drift)
-    pieces = _along(corners[:, 0] + 1j * corners[:, 1])
+    pieces = _edge_points(corners[:, 0] + 1j * corners[:, 1])
     middle = complex(pieces.mean())
     keep_m = obstacle.clearance_m + growth_m(safety, age_s)
     return Obstacle(obstacle.id, pieces, keep_m, 0j, now_ns, middle, float(np.abs(pieces - middle).max()))
@@ -121,8 +124,8 @@ def is_inside(apart: NDArray[np.complex128]) -> NDArray[np.bool_]:
     return np.asarray(np.abs(np.angle(np.roll(apart, -1, axis=1) * apart.conj()).sum(axis=1)) > math.pi)
 
 
-def _along(corners: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Corners, and points between them no more than SPACING_M apart, in order around."""
+def _edge_points(corners: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Corners of an outline, and points on its edges no more than SPACING_M apart, in order around."""
     edges: list[Array] = []
     for begin, end in zip(corners, np.roll(corners, -1), strict=True):
         count = max(1, min(math.ceil(abs(end - begin) / SPACING_M), MOST_PIECES // len(corners)))

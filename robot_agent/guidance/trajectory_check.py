@@ -43,8 +43,8 @@ def unflyable(trajectory: Trajectory | None, pool: PoolConfig, vehicle: Vehicle)
 
 
 def _inconsistent(trajectory: Trajectory) -> str:
-    """Return the first contradiction between poses, velocities and accelerations; empty if there is none. The trapezoidal rule
-    leads from each sample to the next."""
+    """Return the first contradiction between poses, velocities and accelerations, by the trapezoidal rule from each sample to
+    the next; empty if there is none. A velocity may leap where the robot sets off or stops (LEAP)."""
     period_s, velocity = trajectory.period_s, trajectory.velocity
     where = _first(follows_velocity(trajectory.eta, velocity, period_s))
     if where is not None:
@@ -54,20 +54,22 @@ def _inconsistent(trajectory: Trajectory) -> str:
         step = 0.5 * period_s * (velocity[k + 1, axis] + velocity[k, axis])
         at_s = _time_s(trajectory, k)
         return f"trajectory.eta moves by {moved:.3g} {unit} in {name} at {at_s:.2f} s, its velocities say {step:.3g} {unit}"
-    push = 0.5 * period_s * (trajectory.acceleration[1:] + trajectory.acceleration[:-1])
+    expected_change = 0.5 * period_s * (trajectory.acceleration[1:] + trajectory.acceleration[:-1])
     rests: NDArray[np.bool_] = np.asarray((np.abs(velocity) <= STILL).all(axis=1))
-    near = rests.copy()  # a plan that was made of another one's samples leaps in two steps, with one sample between
-    near[1:] |= rests[:-1]
-    near[:-1] |= rests[1:]
-    where = _first((np.abs(np.diff(velocity, axis=0) - push) <= LEAP) | (near[1:] | near[:-1])[:, None])
+    # Samples at rest and those beside them: a plan that was interpolated from another one's samples leaps in two steps.
+    near_rest = rests.copy()
+    near_rest[1:] |= rests[:-1]
+    near_rest[:-1] |= rests[1:]
+    may_leap = (near_rest[1:] | near_rest[:-1])[:, None]
+    where = _first((np.abs(np.diff(velocity, axis=0) - expected_change) <= LEAP) | may_leap)
     if where is not None:
         k, axis = where
         name, unit = AXES[axis]
-        rose = velocity[k + 1, axis] - velocity[k, axis]
+        change = velocity[k + 1, axis] - velocity[k, axis]
         at_s = _time_s(trajectory, k)
         return (
-            f"trajectory.velocity changes by {rose:.3g} {unit}/s in {name} at {at_s:.2f} s, its accelerations say "
-            f"{push[k, axis]:.3g} {unit}/s"
+            f"trajectory.velocity changes by {change:.3g} {unit}/s in {name} at {at_s:.2f} s, its accelerations say "
+            f"{expected_change[k, axis]:.3g} {unit}/s"
         )
     return ""
 
@@ -83,7 +85,7 @@ def _too_much(trajectory: Trajectory, vehicle: Vehicle) -> str:
 
 
 def _first(fine: NDArray[np.bool_]) -> tuple[int, int] | None:
-    """Row and column of the first entry that is false."""
+    """Row and column of the first entry that is false; None if all are true."""
     bad = np.argwhere(np.logical_not(fine))
     return (int(bad[0, 0]), int(bad[0, 1])) if len(bad) else None
 

@@ -16,7 +16,7 @@ from shoal.frames import Array
 from shoal.messages.messages import ALONE, Command, CommandKind, Trajectory
 
 FARTHEST_S = 60.0  # a start may lie ahead, or be over, by this much; the station names one half a second ahead
-FASTER = 0.5  # of the timetable's pace: a reference that has to catch up with what the station says does so by this much more
+FASTER = 0.5  # of the timetable's pace: by this much faster a reference catches up when the station reports less lag
 BEGINS = frozenset({CommandKind.START, CommandKind.RESUME})
 
 
@@ -33,7 +33,7 @@ class TrajectoryClock:
         self._time_zero_ns = 0  # when the timetable was, or will be, at 0
         self._earliest_s = 0.0  # waits at this point of it until its time has come
         self._started_by = 0  # session of the station whose lag counts
-        self._lag_s: float | None = None  # that the reference has; None: what the station says next counts at once
+        self._lag_s: float | None = None  # of the reference; None: the next reported lag is taken at once
         self._rate, self._stepped_ns = 1.0, 0
 
     @property
@@ -47,8 +47,8 @@ class TrajectoryClock:
         return 0.0 if self.id.startswith(ALONE) else self.reached_s
 
     def flaw(self, command: Command) -> str:
-        """Return the reason why a LOAD's trajectory cannot be flown; empty if it can. That takes as long as a control step for
-        each quarter of an hour of it, and depends on nothing that a step changes: it may run beside one."""
+        """Return the reason why a LOAD's trajectory cannot be flown; empty if it can. It takes as long as a control step for
+        each quarter of an hour of the trajectory; it reads nothing that a step changes, so it may run beside one."""
         return unflyable(command.trajectory, self._pool, self._vehicle) if command.order is CommandKind.LOAD else ""
 
     def objection(
@@ -76,6 +76,7 @@ class TrajectoryClock:
         return ""
 
     def _unjoinable(self, new: Trajectory | None) -> str:
+        """Reason why the robot cannot go over from its trajectory to a new one; empty if it can."""
         if self.trajectory is None or new is None:
             return "no trajectory is flown"
         if new.begin_s <= self.reached_s:
@@ -83,7 +84,7 @@ class TrajectoryClock:
         return splice_objection(self.trajectory, new)
 
     def _unstartable(self, command: Command, station: StationView, begins_ns: int, now_ns: int, eta: Array | None) -> str:
-        """Reason why a START cannot be followed; empty if it can."""
+        """Reason why a START or RESUME cannot be carried out, for example a robot too far from its path; empty if it can."""
         if self.trajectory is None:
             return "no trajectory is loaded"
         if command.trajectory_id != self.id:
@@ -93,7 +94,8 @@ class TrajectoryClock:
             return f"begins {ahead_s:.1f} s from now, allowed are -{FARTHEST_S:g} to {FARTHEST_S:g} s"
         if eta is None:
             return "the robot does not know where it is"
-        reached_s = command.trajectory_s + max(-ahead_s, 0.0) - self._told(station)[0]
+        lag_s, _ = self._formation_lag(station)
+        reached_s = command.trajectory_s + max(-ahead_s, 0.0) - lag_s
         away_m = float(np.linalg.norm(pose_at(self.trajectory, reached_s)[:3] - eta[:3]))
         limit_m = self._planned_m + self._join_within_m
         if not away_m <= limit_m:
@@ -118,6 +120,7 @@ class TrajectoryClock:
             self._lag_s = None
 
     def _take(self, trajectory: Trajectory) -> None:
+        """Make a trajectory the one that is flown, at its beginning."""
         self.trajectory, self.reached_s = trajectory, trajectory.begin_s
         self._planned_m = 0.0
         if trajectory.begin_s == 0.0:  # the run's own; later ones are made for robots that rest at their beginning
@@ -132,26 +135,27 @@ class TrajectoryClock:
         """Return the goal at `now_ns`; None without a trajectory."""
         if self.trajectory is None:
             return None
-        self._fall_behind(station, now_ns)
+        self._follow_lag(station, now_ns)
         timetable_s = (now_ns - self._time_zero_ns) * 1e-9
         self.reached_s = max(timetable_s, self._earliest_s) - (self._lag_s or 0.0)
         return Follow(self.trajectory, self.reached_s, self._rate, max(self._earliest_s - timetable_s, 0.0))
 
-    def _fall_behind(self, station: StationView, now_ns: int) -> None:
-        """Take over the formation's lag: at once at a start; later so that the reference never goes back, nor faster than
-        FASTER allows. The lag of another station than the one that started the robot does not count."""
+    def _follow_lag(self, station: StationView, now_ns: int) -> None:
+        """Follow the formation's lag: at once at a start; later so that the reference never goes back, nor faster than FASTER
+        allows. Only the station that started the robot is followed."""
         passed_s, self._stepped_ns = max(now_ns - self._stepped_ns, 0) * 1e-9, now_ns
         if station.session != self._started_by:
             self._rate = 1.0
             return
-        wanted_s, rate = self._told(station)
-        before_s = wanted_s if self._lag_s is None else self._lag_s
-        self._lag_s = min(max(wanted_s, before_s - FASTER * passed_s), before_s + passed_s)
-        self._rate = rate if self._lag_s == wanted_s else 1.0 - (self._lag_s - before_s) / max(passed_s, 1e-3)
+        reported_s, rate = self._formation_lag(station)
+        before_s = reported_s if self._lag_s is None else self._lag_s
+        self._lag_s = min(max(reported_s, before_s - FASTER * passed_s), before_s + passed_s)
+        self._rate = rate if self._lag_s == reported_s else 1.0 - (self._lag_s - before_s) / max(passed_s, 1e-3)
 
     @staticmethod
-    def _told(station: StationView) -> tuple[float, float]:
-        """Return the formation's lag now and its rate, 0 to 1, limited to possible values."""
+    def _formation_lag(station: StationView) -> tuple[float, float]:
+        """Return the formation's lag behind the timetable in s, extrapolated from the last heartbeat to now, and the rate of
+        its clock (0 to 1)."""
         slowing = min(max(station.slowing, 0.0), 1.0)
         since_s = station.age_s if slowing else 0.0  # infinity if no station was ever heard
         return max(station.lag_s + slowing * since_s, 0.0), 1.0 - slowing

@@ -431,11 +431,11 @@ class GiveWay:
         velocity = complex(x_m, y_m) / self._second_s
         if abs(velocity) < SLIGHTEST_MPS:
             return False
-        return bool(closes_in(place, velocity, *self._counting(place, velocity, traffic)))
+        return bool(closes_in(place, velocity, *self._with_horizons(place, velocity, traffic)))
 
-    def _counting(self, place: complex, wanted: complex, traffic: Traffic) -> tuple[Traffic, Array]:
-        """The traffic at the distances that count, and the time ahead for which each counts (k,), s. A robot that has left its
-        path keeps the whole room: in less of it, the other one would give way too."""
+    def _with_horizons(self, place: complex, wanted: complex, traffic: Traffic) -> tuple[Traffic, Array]:
+        """The traffic with the distances to keep, and the time ahead (k,), in s, within which each of it is avoided. A robot
+        that has left its path keeps the full distances: at less, the other robot would give way too."""
         within_s, keep_m = np.empty((2, len(traffic.place)))
         set_horizons(place, wanted, self.agility, traffic, within_s, keep_m)
         return traffic._replace(keep_m=keep_m) if self._point is None else traffic, within_s
@@ -446,7 +446,7 @@ class GiveWay:
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
         assert self._point is not None
-        traffic, within_s = self._counting(place, wanted, traffic)
+        traffic, within_s = self._with_horizons(place, wanted, traffic)
         ahead, meets = np.empty(self._look_steps, np.complex128), np.empty(len(within_s), bool)
         look_ahead(reference.eta, reference.velocity, self._times_s, self._point, self.agility, ahead)
         if not find_meetings(place, ahead, traffic, within_s, meets):

@@ -5,9 +5,10 @@ for that at the surface. While the agent runs, it sees a restart of such a board
 This file is for what no program sees: board and computer lose their power together, or the agent ends between. It holds the
 robot's last depth and which life of the board that was: the computer's boot, and the instant in it at which the board was
 switched on. A board of another life took its zero at that depth, as far as anybody knows, until a person confirms it
-(`robot-agent confirm-zero`).
+(`robot-agent confirm-zero`). Of a file that cannot be read, as one that a loss of power has cut, too.
 """
 
+import errno
 import json
 import math
 import os
@@ -15,9 +16,9 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from shoal.runtime.output_files import replace_text
+from shoal.runtime.output_files import replacing
 from shoal.runtime.runtime import log
 from shoal.system.regular_files import read_regular
 
@@ -51,21 +52,36 @@ def state_folder(environment: Mapping[str, str] = os.environ) -> Path | None:
 
 
 def read_record(folder: Path) -> ZeroRecord | None:
-    """Content of the file in a folder; None if there is none, or none of these. Raises OSError."""
+    """Content of the file in a folder; None if there is none. Raises OSError, also for a file that holds no depth."""
     try:
         fields = json.loads(read_regular(folder / FILE, MOST_BYTES))
-        record = ZeroRecord(str(fields.pop("boot")), **{name: float(value) for name, value in fields.items()})
+        record = ZeroRecord(str(fields.pop("boot")), **{name: _finite(value) for name, value in fields.items()})
     except FileNotFoundError:
         return None
     except (ValueError, TypeError, AttributeError, KeyError) as error:
-        log.warning("%s: holds no depth of a robot: %s", folder / FILE, error)
-        return None
-    return record if all(map(math.isfinite, (record.at_s, record.board_on_s, record.zero_m, record.depth_m))) else None
+        raise OSError(errno.EINVAL, f"holds no depth of a robot: {error}", str(folder / FILE)) from None
+    return record
+
+
+def _finite(value: Any) -> float:
+    """A number of the file. Raises ValueError and TypeError."""
+    if not math.isfinite(number := float(value)):
+        raise ValueError(f"{value} is no number")
+    return number
 
 
 def write_record(folder: Path, record: ZeroRecord, durable: bool) -> None:
     """Put the file in its place. Raises OSError."""
-    replace_text(folder / FILE, json.dumps(asdict(record)), durable)
+    put_for_owner(folder / FILE, json.dumps(asdict(record)), durable)
+
+
+def put_for_owner(path: Path, text: str, durable: bool) -> None:
+    """Write a file for whom its folder belongs to: the service has to read what root writes. Raises OSError."""
+    with replacing(path, durable, mode=0o600) as file:
+        if os.geteuid() == 0:
+            owner = path.parent.stat()
+            os.fchown(file.fileno(), owner.st_uid, owner.st_gid)
+        file.write(text.encode())
 
 
 def boot_id() -> str:
@@ -94,6 +110,11 @@ class BoardZero:
         self._written: ZeroRecord | None = None
         self._looked_s = -math.inf
         self._failed = False
+        self.is_unknown = False  # the file cannot be read: until a person decides, nobody knows where the zero was taken
+
+    def confirm(self) -> None:
+        """Take note that a person has confirmed the zero, or has had it taken anew."""
+        self.is_unknown = False
 
     def note(self, telemetry: "Telemetry") -> float | None:
         """Take in the board's telemetry. Returns the depth of its zero if that is another one than `telemetry` has."""
@@ -113,10 +134,12 @@ class BoardZero:
         return zero_m if zero_m != telemetry.power_on_depth_m else None
 
     def _read(self) -> ZeroRecord | None:
+        """The record in the file; None if there is none, or it cannot be read, which is reported."""
         try:
             return read_record(self._folder) if self._folder is not None else None
         except OSError as error:
-            self._tell(error)
+            log.warning("%s: %s: the thruster board's depth zero is in question", error.filename, error.strerror)
+            self.is_unknown = True
             return None
 
     def _same_life(self, record: ZeroRecord, now_s: float, board_on_s: float) -> bool:
@@ -127,7 +150,9 @@ class BoardZero:
         return min(apart_s, 1e-3 * MS_WRAPS - apart_s) <= SLACK_S + DRIFT * (now_s - record.at_s)
 
     def _keep(self, record: ZeroRecord) -> None:
-        """Write a record that says something new."""
+        """Write a record that says something new; none over a file that nobody could read, before a person has decided."""
+        if self.is_unknown:
+            return
         before = self._written
         if before is not None and before.zero_m == record.zero_m and self._same_life(before, record.at_s, record.board_on_s):
             moved_m = abs(record.depth_m - before.depth_m)

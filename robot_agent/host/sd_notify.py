@@ -66,6 +66,7 @@ class ServiceNotifier:
                 self._status.unlink(missing_ok=True)
 
     def _send(self, text: str) -> None:
+        """Send a line to systemd, if it listens."""
         if self._socket is None:
             return
         try:

@@ -23,11 +23,11 @@ class StepClock:
 
     def __init__(self, period_s: float, now_s: float) -> None:
         self.missed = 0  # steps whose pulses left late
-        self.late_steps = 0  # by how much late steps outnumber timely ones of late
+        self.late_steps = 0  # recent late steps less timely ones
         self._period_s, self._grid_s = period_s, now_s
         self._most_late = math.ceil(MOST_LATE_S / period_s)
-        self._off_s = period_s  # how far poses are off the grid, in the mean
-        self._had_pose = False  # the last step
+        self._off_s = period_s  # mean distance of poses from the grid
+        self._had_pose = False  # True if the last step had a new pose
 
     @property
     def opens_s(self) -> float:
@@ -38,13 +38,15 @@ class StepClock:
         """Instant of the next step. `arrived_s` is the arrival of the newest pose, None if a step has taken it."""
         if self._off_s > IN_STEP * self._period_s:
             return self._grid_s
-        latest_s = self._grid_s + (LATE if self._had_pose else 0.0) * self._period_s  # but one that is gone holds up no more
-        if arrived_s is None or arrived_s <= self.opens_s:  # that one should have come with the step before
+        # A step waits for its pose, but not after a step without one: a camera that is gone delays only one step.
+        latest_s = self._grid_s + (LATE if self._had_pose else 0.0) * self._period_s
+        if arrived_s is None or arrived_s <= self.opens_s:  # none new, or one that came too late for the step before
             return latest_s
         return min(arrived_s, latest_s)
 
-    def stepped(self, now_s: float, arrived_s: float | None) -> None:
-        """Take note of a step at `now_s` with the pose that came at `arrived_s`. Missed places on the grid are left out."""
+    def note_step(self, now_s: float, arrived_s: float | None) -> None:
+        """Move the grid on after a step at `now_s` with the pose that came at `arrived_s` (None: an old one), and towards that
+        pose. Missed places on the grid are left out."""
         self._had_pose = arrived_s is not None
         if arrived_s is not None:
             off_s, most_s = math.remainder(arrived_s - self._grid_s, self._period_s), MOST * self._period_s
@@ -53,9 +55,9 @@ class StepClock:
         behind_s = now_s + APART * self._period_s - self._grid_s
         self._grid_s += max(math.ceil(behind_s / self._period_s), 0) * self._period_s
 
-    def put_out(self, late_s: float) -> None:
-        """Take note of a step's pulses, sent `late_s` after the step was due. A timely step cancels a late one: a single delay
-        ends nothing, and a loop that cannot keep up is found in any pattern."""
-        late = late_s > BUDGET * self._period_s
-        self.missed += late
-        self.late_steps = min(self.late_steps + 1, self._most_late) if late else max(self.late_steps - 1, 0)
+    def count_lateness(self, late_s: float) -> None:
+        """Count a step whose pulses were sent `late_s` after it was due. A timely step cancels a late one: a single delay ends
+        nothing, and a loop that cannot keep up is found in any pattern."""
+        is_late = late_s > BUDGET * self._period_s
+        self.missed += is_late
+        self.late_steps = min(self.late_steps + 1, self._most_late) if is_late else max(self.late_steps - 1, 0)

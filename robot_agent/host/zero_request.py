@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from robot_agent.host.board_zero import boot_id, boot_time_s
+from robot_agent.host.board_zero import boot_id, boot_time_s, put_for_owner
 from robot_agent.host.config import AgentConfig, open_board_link
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import ACCEPTED, CALIBRATE, UNSUPPORTED, AgentLink, Telemetry
@@ -34,11 +34,16 @@ WITHIN_S = 4.0  # for the robot's program, and for the board, beyond what it nee
 class ZeroRequests:
     """The requests that come to a robot's program."""
 
-    def __init__(self, folder: Path | None, now_s: Callable[[], float] = time.monotonic) -> None:
-        """Without a `folder` none come."""
-        self._folder, self._now_s, self._looked_s = folder, now_s, -LOOK_S
-        self._before = 0  # acknowledgements of the board when it was first told; meaningful while a request is open
-        self._open = ""
+    def __init__(
+        self,
+        folder: Path | None,
+        now_s: Callable[[], float] = time.monotonic,
+        on_confirmed: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Without a `folder` none come. `on_confirmed` is called when the board has carried one out."""
+        self._folder, self._now_s, self._looked_s, self._on_confirmed = folder, now_s, -LOOK_S, on_confirmed
+        self._open = ""  # text of the request that the board is asked to carry out; "" if there is none
+        self._acknowledged_before = 0  # the board's acknowledgements when that request was new
 
     def step(self, link: AgentLink, has_power: bool = False) -> bytes:
         """Frame for the board, empty if there is none to send now. Ends a request that the board has acknowledged, and refuses
@@ -49,9 +54,10 @@ class ZeroRequests:
         self._looked_s = now_s
         request = self._read_file()
         if not request or request != self._open:
-            self._open, self._before = request, board.acknowledgements
-        elif board.acknowledgements > self._before and board.acknowledged in answers(request.startswith(AIR)):
+            self._open, self._acknowledged_before = request, board.acknowledgements
+        elif self._is_answered(board) and board.acknowledged in answers(_is_in_air(request)):
             link.set_zero(0.0)  # of a board that does not report its restarts
+            self._on_confirmed()
             self._end()
             return b""
         if not request:
@@ -60,13 +66,17 @@ class ZeroRequests:
         if refusal:
             self._refuse(refusal)
             return b""
-        return link.calibrate(pressure=request.startswith(AIR)) if board.is_thruster_board else b""
+        return link.calibrate(pressure=_is_in_air(request)) if board.is_thruster_board else b""
+
+    def _is_answered(self, board: Telemetry) -> bool:
+        """True if the board has acknowledged something since the open request was new."""
+        return board.acknowledgements > self._acknowledged_before
 
     def _refusal(self, board: Telemetry) -> str:
         """The reason why the board does not carry out the open request; empty if there is none."""
         if board.autopilot_name:
             return f"{board.autopilot_name} is on the link, no thruster board"
-        return refusal_of(board, self._open.startswith(AIR)) if board.acknowledgements > self._before else ""
+        return refusal_of(board, _is_in_air(self._open)) if self._is_answered(board) else ""
 
     def _read_file(self) -> str:
         """The request in the folder, all of its text; empty if there is none, or its command has ended."""
@@ -80,16 +90,23 @@ class ZeroRequests:
         return text if request in (KEPT, AIR) and boot == _this_boot() and 0.0 <= age_s <= 2.0 * WITHIN_S else ""
 
     def _end(self) -> None:
+        """Take the file of a request away: that is the answer that it was carried out."""
         assert self._folder is not None
         self._open = ""
         with suppress(OSError):
             (self._folder / FILE).unlink()
 
     def _refuse(self, reason: str) -> None:
+        """Write the reason into the file in place of the request."""
         assert self._folder is not None
         self._open = ""
         with suppress(OSError):  # the command then waits in vain
             replace_text(self._folder / FILE, f"{REFUSED}{reason}", durable=False)
+
+
+def _is_in_air(request: str) -> bool:
+    """True for a request to take the zero anew in air, False for one to keep it (`write_request`)."""
+    return request.startswith(AIR)
 
 
 def answers(in_air: bool) -> tuple[tuple[int, int], ...]:
@@ -99,7 +116,7 @@ def answers(in_air: bool) -> tuple[tuple[int, int], ...]:
 
 
 def refusal_of(board: Telemetry, in_air: bool) -> str:
-    """Text of a board that has refused a request; empty if it has not."""
+    """The reason for which a board has refused a request, for a person; empty if it has not refused."""
     answer = board.acknowledged
     if answer is None or answer[0] != CALIBRATE or answer in answers(in_air):
         return ""
@@ -114,7 +131,7 @@ def _this_boot() -> str:
 
 def write_request(path: Path, in_air: bool) -> None:
     """Make a request now. Raises OSError."""
-    replace_text(path, f"{AIR if in_air else KEPT} {_this_boot()} {boot_time_s():.3f}", durable=False)
+    put_for_owner(path, f"{AIR if in_air else KEPT} {_this_boot()} {boot_time_s():.3f}", durable=False)
 
 
 @contextmanager
@@ -156,30 +173,33 @@ def ask_program(folder: Path, in_air: bool) -> bool:
 
 
 def tell_board(config: AgentConfig, in_air: bool) -> Telemetry:
-    """Send the request over the link. Returns what the board reports since it has answered; it has answered UNSUPPORTED if it
-    is to keep its zero and knows no such command, and `board_ms` is -1 if no depth came. Raises ConfigError if the board
-    refuses."""
+    """Send the request over the link, again and again until the board answers.
+
+    Returns the board's telemetry of the first burst after its answer, or the last one with `board_ms` -1 if no burst follows.
+    A board that does not know the command answers UNSUPPORTED, which is a success for a zero to be kept. Raises ConfigError if
+    the board refuses or does not answer.
+    """
     wires, signing = open_board_link(config)
     mavlink = agent_end(config.robot, signing)
-    answered_ms: int | None = None  # time of the burst before the answer, on the board's clock
+    answer_burst_ms: int | None = None  # time of the last burst before the answer, on the board's clock
     try:
-        end_s, told_s = time.monotonic() + WITHIN_S + wires.first_word_s, 0.0
+        end_s, sent_s = time.monotonic() + WITHIN_S + wires.first_word_s, 0.0
         while time.monotonic() < end_s:
-            if time.monotonic() - told_s > LOOK_S:
-                told_s = time.monotonic()
+            if time.monotonic() - sent_s > LOOK_S:
+                sent_s = time.monotonic()
                 wires.send(mavlink.heartbeat())
-                if mavlink.telemetry.is_thruster_board and answered_ms is None:
+                if mavlink.telemetry.is_thruster_board and answer_burst_ms is None:
                     wires.send(mavlink.calibrate(pressure=in_air))
             wires.wait(0.05)
             mavlink.receive(wires.read(), time.monotonic_ns())
             telemetry = mavlink.telemetry
-            if answered_ms is not None and telemetry.board_ms != answered_ms:
+            if answer_burst_ms is not None and telemetry.board_ms != answer_burst_ms:
                 return telemetry
             if telemetry.acknowledged in answers(in_air):
-                answered_ms = telemetry.board_ms
+                answer_burst_ms = telemetry.board_ms
             elif refusal := refusal_of(telemetry, in_air):
                 raise ConfigError(f"{config.link}: {refusal}")
-        if answered_ms is not None:
+        if answer_burst_ms is not None:
             return replace(mavlink.telemetry, board_ms=-1)
         raise ConfigError(f"{config.link}: {wires.trouble or 'the board does not answer'}")
     finally:

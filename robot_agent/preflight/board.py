@@ -5,7 +5,6 @@ import itertools
 import platform
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -85,8 +84,13 @@ def check_device(config: AgentConfig) -> Iterator[CheckFinding]:
 def _depth_zero() -> Iterator[CheckFinding]:
     """Say of a board whose zero is in doubt how to get out of it; nothing otherwise."""
     record = None
-    with suppress(OSError):  # only the service's user, and root, may read it
+    try:
         record = read_record(state_folder() or SERVICE_FOLDER)
+    except PermissionError:  # only the service's user, and root, may read it
+        return
+    except OSError as error:
+        why = f"{error.filename}: {error.strerror}: a robot whose board reports no restarts will not arm"
+        yield CheckFinding("depth zero", CheckVerdict.WARN, f"{why} (is its depth right? `robot-agent confirm-zero`)")
     if record is not None and record.zero_m > RESTART_DEPTH_M:
         why = f"the board restarted where the robot was last known to be, at {record.zero_m:.2f} m: it will not arm"
         remedy = "restart the board in air; or, if it was in air, `robot-agent confirm-zero`"
@@ -201,6 +205,7 @@ def _foreign_frames(telemetry: Telemetry, robot: int) -> str:
 
 
 def _computer() -> Iterator[CheckFinding]:
+    """Findings about the computer that runs the agent: real-time scheduling and CPU clock."""
     yield CheckFinding("real time", CheckVerdict.OK, realtime.permitted())
     governor = realtime.governor()
     if governor and governor != "performance":
@@ -217,8 +222,11 @@ def step_timing(experiment: Experiment, robot: int) -> CheckFinding:
             began = time.perf_counter_ns()
             state = agent.step(inputs, now_ns).state
             steps_ms.append((time.perf_counter_ns() - began) * 1e-6)
-    except RehearsalFailed as why:
-        return findings.not_timed(str(why))
+    except RehearsalFailed as failed:
+        return findings.not_timed(str(failed))
+    except Exception as error:  # a law of one's own that is not installed here, or that fails: the other checks go on
+        why = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
+        return CheckFinding("control step", CheckVerdict.FAIL, why)
     if state.mode is not Mode.TRACKING:
         return findings.not_timed(f"the robot is {state.mode.name}, {state.fault or 'for no reason told'}")
     p50, p99 = np.percentile(steps_ms[WARM_UP:], [50, 99]).tolist()

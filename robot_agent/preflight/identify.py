@@ -50,7 +50,10 @@ def thrust(
     from shoal.mavlink.agent_link import STANDARD_GRAVITY_MPS2
 
     with os_errors_as_config_errors(file):
-        lines = read_regular(file, MOST_BYTES).decode("utf-8-sig").splitlines()
+        try:
+            lines = read_regular(file, MOST_BYTES).decode("utf-8-sig").splitlines()
+        except UnicodeDecodeError as error:
+            raise ConfigError(f"{file}: cannot be read: {error} (save it as CSV in UTF-8)") from None
     readings = read_rows(lines, str(file), lever)
     like = load_vehicle(vehicle).thruster
     curve_fit = fit(readings, str(file), len(like.curve), still_g * 1e-3 * STANDARD_GRAVITY_MPS2 * lever)

@@ -83,6 +83,7 @@ def _eta(times_s: Array, i: int) -> Array:
 
 
 def _circle(period_s: float) -> Trajectory:
+    """The rehearsal's trajectory: a minute around the circle."""
     times_s = np.arange(0.0, 60.0, period_s, dtype=np.float64)
     eta = _eta(times_s, 0)
     velocity = np.gradient(eta, period_s, axis=0)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import PULSE_RANGE_US, STANDARD_GRAVITY_MPS2
@@ -44,12 +44,11 @@ class ThrustFit:
 def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[ThrustReading]:
     """Readings of a CSV file with a head `pulse_us,grams`; grams are negative astern, times `lever` they are the thrust.
     Raises ConfigError naming line, column and value of a row that cannot be used."""
-    rows = csv.reader(lines)
-    head = next(rows, [])
+    rows, readings = csv.reader(lines), []
+    head = _next_row(rows, name) or []
     if [cell.strip() for cell in head] != COLUMNS:
         raise ConfigError(f"{name}: line 1: {','.join(head)!r} is not the head (allowed: {','.join(COLUMNS)})")
-    readings = []
-    for row in rows:
+    while (row := _next_row(rows, name)) is not None:
         if not any(cell.strip() for cell in row):
             continue
         where = f"{name}: line {rows.line_num}"
@@ -61,6 +60,15 @@ def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[Thrus
             raise ConfigError(f"{where}: pulse_us = {pulse:g} (allowed: whole numbers from {low} to {high})")
         readings.append(ThrustReading(rows.line_num, int(pulse), grams * 1e-3 * STANDARD_GRAVITY_MPS2 * lever))
     return readings
+
+
+def _next_row(rows: Any, name: str) -> list[str] | None:
+    """The next row of csv's reader; None after the last one. Raises ConfigError."""
+    try:
+        row: list[str] | None = next(rows, None)
+    except csv.Error as error:
+        raise ConfigError(f"{name}: line {rows.line_num}: {error}") from None
+    return row
 
 
 def _cell_number(cell: str, where: str) -> float:

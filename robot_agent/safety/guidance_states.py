@@ -58,10 +58,11 @@ TRANSITIONS: tuple[GuidanceTransition, ...] = (
 
 
 def next_state(state: Guidance, facts: GuidanceFacts) -> Guidance:
-    """The state after a step."""
-    to = next(t.to for t in TRANSITIONS if state in t.states and t.when(facts))
-    keeps = {state, to} <= ALONG_PATH and to is not Guidance.JOINING and not facts.is_steady
-    return state if keeps else to
+    """The state after a step: that of the first transition that applies. Changes between states along the path wait until the
+    state has lasted STEADY_S, except for JOINING, when the path has leapt."""
+    new_state = next(t.to for t in TRANSITIONS if state in t.states and t.when(facts))
+    may_wait = {state, new_state} <= ALONG_PATH and new_state is not Guidance.JOINING
+    return state if may_wait and not facts.is_steady else new_state
 
 
 class StayLimits(NamedTuple):

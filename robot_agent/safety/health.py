@@ -3,6 +3,7 @@
 import math
 
 from robot_agent.control.controller import ControlOutput
+from robot_agent.guidance.driving import off_depth_m
 from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
 from robot_agent.safety.output_check import OutputCheck
@@ -116,6 +117,8 @@ class HealthMonitor:
         self._watch.step(output, mode, now_ns)
         depth_m = 0.0 if output.estimate is None else output.estimate.eta.item(2)
         path_depth_m = depth_m if output.control is None else output.control.eta_reference.item(2)
+        if mode is Mode.DRIVEN and output.estimate is not None:  # the reference leads
+            depth_m = path_depth_m - off_depth_m(path_depth_m, depth_m, output.estimate.nu.item(2))
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
         self._thrusters.note_flow(output.flow_moment)
         self._output = output
@@ -163,6 +166,7 @@ class HealthMonitor:
 
     @property
     def _gyroscope_doubt(self) -> str:
+        """The reason to doubt the gyroscope; empty if there is none."""
         if self._rate.same_s:
             return f"exactly the same for {self._rate.same_s:.1f} s"
         apart_rad = self._gyroscope.apart_rad

@@ -216,8 +216,8 @@ class LikelihoodRatioTest:
         self.evidence = evidence_at(samples, at_ns, weighing, knowledge, self._sought)
 
     def note_change(self, covariance: Array, at_ns: int) -> None:
-        """Take note that theta has changed at an instant, with an unknown change of this `covariance` (k, k). The test doubts
-        it at once, up to the prior: of nothing less is known than at first. It looks at later samples only."""
+        """Note that theta has changed at an instant by an unknown amount with this `covariance` (k, k). It adds to theta's own
+        at once, scaled so that no variance exceeds the prior's. The test then looks at later samples only."""
         changed = np.diag(covariance) > 0.0
         room = np.diag(self._prior - self._covariance - self._doubt)[changed] / np.diag(covariance)[changed]
         self._doubt += min(max(float(room.min(initial=1.0)), 0.0), 1.0) * covariance

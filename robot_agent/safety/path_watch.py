@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from robot_agent.control.controller import ControlOutput
 from robot_agent.control.nonlinear.tuning import horizon_s
+from robot_agent.guidance.driving import FOLLOWS_S
 from robot_agent.safety.guidance_states import AWAY, STATES, STEADY_S, GuidanceFacts, StayLimits, next_state
 from robot_agent.safety.modes import POWERED
 from robot_agent.safety.path_deviation import ARRIVED, PathDeviationMonitor
@@ -28,7 +29,6 @@ from shoal.frames import Array
 from shoal.messages.messages import Control, Guidance, Mode
 
 NS = 1_000_000_000
-FOLLOWS_S = 1.0  # so far a robot that a law without foresight drives is behind its reference (guidance/driving.py)
 LOOK_S = 1.0  # between a prediction and its test: thrust has acted, and little has been learned since
 MODEL_SHARE = 0.35  # of the way by full thrust in LOOK_S: mass wrong by +100 % is 0.25 at most, gusts and reversals 0.15
 DEVIATIONS = 4.0  # of the estimate's own uncertainty

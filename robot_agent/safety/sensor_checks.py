@@ -25,7 +25,7 @@ APART_S = 0.5  # that it has to last: ten poses; of headings that flip, every ot
 NOISE_M = 1e-4  # the least noise of a pressure sensor; the shipped simulator's is 2 mm
 NOISE_RADPS = 1e-4  # of a gyroscope, whose steps are 0.27 mrad/s; an MPU-6050 has 0.9
 NOISE_MPS2 = 1e-3  # of an accelerometer, which the link rounds to 0.01; an MPU-6050 has 0.03
-LEANS_MPS2 = 4.0  # that gravity is off: a robot that leans by 24 degrees; offset and scale of an MPU-6050 make 1
+MOST_ERROR_MPS2 = 4.0  # of gravity: a robot that leans by 24 degrees; offset and scale of an MPU-6050 make 1
 LEVEL_MPS2 = (0.0, 0.0, -STANDARD_GRAVITY_MPS2)  # of a robot at rest
 GRAVITY_S = 1.0  # time constant; waves, and pushes by other robots, are shorter or below 1 m/s^2
 NOISY = 0.2  # share of the samples that show noise: a reading that leaps once is none
@@ -47,7 +47,7 @@ class GyroscopeCheck:
         self._since_ns: int | None = None  # the first pose since which the turns have been apart
 
     def note_rate(self, rate_radps: float, at_ns: int) -> None:
-        """Take in a sample of the gyroscope. One that was given before is ignored."""
+        """Integrate a sample of the gyroscope. One that was given before is ignored."""
         if self._at_ns and at_ns <= self._at_ns[-1]:
             return
         elapsed_s = (at_ns - self._at_ns[-1]) / NS if self._at_ns else math.inf
@@ -58,7 +58,8 @@ class GyroscopeCheck:
         self._rate_radps = rate_radps
 
     def note_heading(self, heading_rad: float, at_ns: int) -> None:
-        """Take in the heading of a pose. One that was given before, or is older than the samples kept, is ignored."""
+        """Compare the heading of a pose with the turn by the gyroscope up to its exposure `at_ns`. One that was given before,
+        or is older than the samples kept, is ignored."""
         if not self._at_ns or at_ns < self._at_ns[0] or (self._pose_ns is not None and at_ns <= self._pose_ns):
             return
         offset_rad = wrap(heading_rad - self._turned(at_ns))
@@ -92,31 +93,33 @@ class GravityCheck:
 
     def __init__(self) -> None:
         self._at_ns = 0
-        self._off_mps2 = (0.0, 0.0, 0.0)  # force less gravity's, smoothed
+        self._error_mps2 = (0.0, 0.0, 0.0)  # specific force less that of a robot at rest, low-pass filtered with GRAVITY_S
         self._axes = [StuckSensorCheck(NOISE_MPS2) for _ in range(3)]
 
     def note_sample(self, force_mps2: Sequence[float], at_ns: int) -> None:
-        """Take in a sample. One that was given before is ignored."""
+        """Filter the error of gravity with a sample of the specific force (3,), body axes. One that was given before is
+        ignored."""
         if at_ns <= self._at_ns:
             return
-        share = -math.expm1(-min((at_ns - self._at_ns) / NS, LONGEST_S) / GRAVITY_S)
+        gain = -math.expm1(-min((at_ns - self._at_ns) / NS, LONGEST_S) / GRAVITY_S)
         self._at_ns = at_ns
         for axis, value in zip(self._axes, force_mps2, strict=True):
             axis.note_sample(value, at_ns)
-        off = [force - level for force, level in zip(force_mps2, LEVEL_MPS2, strict=True)]
-        size = math.hypot(*off)
-        scale = min(1.0, 2.0 * LEANS_MPS2 / size) if size > 0.0 else 1.0  # one that leaps once is no doubt
-        x, y, z = (old + share * (scale * new - old) for old, new in zip(self._off_mps2, off, strict=True))
-        self._off_mps2 = x, y, z
+        errors = [force - level for force, level in zip(force_mps2, LEVEL_MPS2, strict=True)]
+        size_mps2 = math.hypot(*errors)
+        # Clipped to twice the limit, so that one sample that leaps does not pass the limit once it is filtered.
+        clip = min(1.0, 2.0 * MOST_ERROR_MPS2 / size_mps2) if size_mps2 > 0.0 else 1.0
+        x, y, z = (old + gain * (clip * new - old) for old, new in zip(self._error_mps2, errors, strict=True))
+        self._error_mps2 = x, y, z
 
     @property
     def doubt(self) -> str:
         """The reason to doubt the accelerometer; empty if there is none."""
-        off_mps2, same_s = math.hypot(*self._off_mps2), min(axis.same_s for axis in self._axes)
+        error_mps2, same_s = math.hypot(*self._error_mps2), min(axis.same_s for axis in self._axes)
         if same_s > 0.0:
             return f"exactly the same for {same_s:.1f} s"
-        if off_mps2 > LEANS_MPS2:
-            return f"off gravity by {off_mps2:.0f} m/s² or more: it is wrong or turned, or the robot leans"
+        if error_mps2 > MOST_ERROR_MPS2:
+            return f"off gravity by {error_mps2:.0f} m/s² or more: it is wrong or turned, or the robot leans"
         return ""
 
 

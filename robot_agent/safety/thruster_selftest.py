@@ -63,6 +63,7 @@ class ThrusterSelftest:
         return "; ".join(texts)
 
     def _verdict(self) -> str:
+        """The result of the test in words: "passed", or the thrusters whose echo was not the asked pulse."""
         wrong = [
             f"thruster {k + 1} was asked for {self._push_us} us, the board says {self._echo_us.get(k, 'nothing')}"
             for k in range(self._thrusters)

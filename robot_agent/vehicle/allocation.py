@@ -24,13 +24,13 @@ CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle
 
 
 class ThrusterLegs(NamedTuple):
-    """ThrusterLegs of a vehicle, and what their thrusters and ankles can do."""
+    """Legs of a vehicle: their places, and the limits of their thrusters and ankles."""
 
     place: Table  # (4, 2): 1 fore or -1 aft, distance to starboard in m
-    idle_n: float
-    ahead_n: float  # the most that a thruster gives
-    astern_n: float
-    steepest_tan: float
+    idle_n: float  # bias of a side that does not push
+    ahead_n: float  # greatest force of a thruster ahead,
+    astern_n: float  # and in reverse, > 0
+    steepest_tan: float  # tangent of the greatest ankle angle
 
 
 class PulseCurve(NamedTuple):
@@ -46,9 +46,10 @@ class PulseCurve(NamedTuple):
 
 @kernel(part=True)
 def side_bias(legs: ThrusterLegs, lift_n: float, side_n: float) -> float:
-    """Bias of a side: what heave needs, or idle thrust if that is more; within what is left of the thrust there is.
+    """Bias (N) of a side with the horizontal force `side_n`: what heave needs, `lift_n`, or idle thrust if that is more;
+    within the thrust that is left.
 
-    Idle thrust is whole when the side is quiet, and none once it pushes three times as hard.
+    Idle thrust is full while the side pushes less than that itself, and fades to none where it pushes three times as hard.
     """
     idle_n = legs.idle_n
     faded = idle_n * min(1.0, max(0.0, 1.5 - 0.5 * abs(side_n) / idle_n)) if idle_n > 0.0 else 0.0
@@ -120,7 +121,7 @@ def to_pulses(force: Floats, angle: Floats, curve: PulseCurve, pulse: Ints) -> N
 
 @kernel
 def deliver(pulse: Ints, legs: ThrusterLegs, curve: PulseCurve, wrench: Floats, moment: Floats) -> None:
-    """Forward equations of the module: what pulses (8,) give: wrench (3,), and the yaw moment of each leg (4,) in N m."""
+    """Write what pulses (8,) in us give by the module's equations: `wrench` (3,), and each leg's yaw `moment` (4,) in N m."""
     wrench[:] = 0.0
     for i in range(4):
         force = curve.thrust_n[pulse[i] - curve.slowest_us]
@@ -136,15 +137,16 @@ def deliver(pulse: Ints, legs: ThrusterLegs, curve: PulseCurve, wrench: Floats, 
 def allocate_and_deliver(
     wrench: Floats, legs: ThrusterLegs, curve: PulseCurve, work: Table, pulse: Ints, delivered: Floats
 ) -> None:
-    """Pulses (8,) for a wrench (3,), and what they give of it, `delivered` (3,). `work` is (3, 4)."""
+    """Write the pulses (8,) in us for a demanded `wrench` (3,), and the wrench that they give, `delivered` (3,). `work` (3, 4)
+    is memory."""
     allocate(wrench, legs, work[0], work[1])
     to_pulses(work[0], work[1], curve, pulse)
     deliver(pulse, legs, curve, delivered, work[2])
 
 
 def pulse_curve(vehicle: Vehicle, level_us: float, us_per_rad: float) -> PulseCurve:
-    """The curve of a vehicle's thrusters and ankles. Pulses are whole microseconds: the thrust of each there is, and between
-    them where one is nearer than the other."""
+    """Tabulate a vehicle's thrust curve at every whole microsecond, and halfway between two, where the nearest pulse to a
+    force changes."""
     curve = vehicle.thruster.curve
     slowest_us = int(curve[0][0])
     pulses_us = np.arange(slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)

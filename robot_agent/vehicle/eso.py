@@ -79,7 +79,7 @@ class Instants(NamedTuple):
 
 @kernel(part=True)
 def state_of(numbers: Floats) -> State12:
-    """State of a belief."""
+    """State (12,) of a belief: pose, velocity and acting thrust; that of sway is the belief's last number."""
     return (
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8], numbers[9],
         numbers[10], numbers[len(numbers) - 1],

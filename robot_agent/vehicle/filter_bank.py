@@ -81,11 +81,11 @@ class Restless(NamedTuple):
 
 
 class MeasuredNumber(NamedTuple):
-    """A measured number: `row` of the errors, and `other` besides (-1: none)."""
+    """A measured number: of the error in `row`, or of the sum of two errors."""
 
     row: int
-    other: int
-    error: float  # against the belief
+    other: int  # row of the second error; -1: none
+    error: float  # measured less believed
     variance: float
 
 
@@ -232,21 +232,22 @@ def predict(bank: Bank, sway: float, belief: Floats, dt: float, f: Table, q: Flo
 
 @kernel(part=True)
 def correct(p: Table, mean: Floats, measured: MeasuredNumber, learns: bool, gain: Floats) -> float:
-    """Correct one filter by one measured number; returns its log-likelihood. `gain` (ERRORS,) is overwritten."""
+    """Correct one filter's covariance `p` and `mean` by one measured number; returns the innovation's log-likelihood. `gain`
+    (ERRORS,) is overwritten."""
     row, other = measured.row, measured.other
     for i in range(ERRORS):
         gain[i] = p[i, row] + (p[i, other] if other >= 0 else 0.0)
     s: float = gain[row] + (gain[other] if other >= 0 else 0.0) + measured.variance
-    news: float = measured.error - mean[row] - (mean[other] if other >= 0 else 0.0)
+    innovation: float = measured.error - mean[row] - (mean[other] if other >= 0 else 0.0)
     for i in range(ERRORS):
         if i != DRAG or learns:
-            mean[i] += gain[i] / s * news
+            mean[i] += gain[i] / s * innovation
     for i in range(ERRORS):
         for j in range(i + 1):
             if i != DRAG or j != DRAG or learns:
                 p[i, j] -= gain[i] * gain[j] / s
             p[j, i] = p[i, j]
-    return -0.5 * (news * news / s + math.log(s))
+    return -0.5 * (innovation * innovation / s + math.log(s))
 
 
 @kernel(part=True)

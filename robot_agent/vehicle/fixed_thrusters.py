@@ -22,17 +22,18 @@ ROUNDED = 1e-12  # of a newton: less is none, and leaves a thruster at neutral
 
 
 class FixedThrusters(NamedTuple):
-    """Thrusters of a vehicle and what they can do."""
+    """Thrusters of a vehicle: their directions, and their greatest forces."""
 
     mixing: Table  # B (4, 8)
     inverse: Table  # B^+ (8, 4)
-    ahead_n: float  # the most that a thruster gives,
-    astern_n: float  # and in reverse
+    ahead_n: float  # greatest force of a thruster ahead,
+    astern_n: float  # and in reverse, > 0
 
 
 @kernel(part=True)
-def share_out(wrench: Floats, thrusters: FixedThrusters, force: Floats) -> None:
-    """Forces (8,) in N for a wrench (4,), as far as the thrusters go in its direction."""
+def allocate(wrench: Floats, thrusters: FixedThrusters, force: Floats) -> None:
+    """Write to `force` (8,), in N, the thrusters' forces for a wrench (4,). All are scaled down alike where one would
+    saturate, so that the wrench keeps its direction."""
     share = 1.0
     for i in range(len(force)):
         force[i] = 0.0
@@ -45,8 +46,8 @@ def share_out(wrench: Floats, thrusters: FixedThrusters, force: Floats) -> None:
 
 
 @kernel
-def add_thrusts(pulse: Ints, thrusters: FixedThrusters, curve: PulseCurve, wrench: Floats, moment: Floats) -> None:
-    """Effect of pulses (8,): wrench (4,), and the yaw moment of each thruster (8,) in N m."""
+def deliver(pulse: Ints, thrusters: FixedThrusters, curve: PulseCurve, wrench: Floats, moment: Floats) -> None:
+    """Write what pulses (8,) in us give by the thrust curve: `wrench` (4,), and each thruster's yaw `moment` (8,) in N m."""
     wrench[:] = 0.0
     for i in range(len(pulse)):
         force = curve.thrust_n[pulse[i] - curve.slowest_us]
@@ -56,13 +57,14 @@ def add_thrusts(pulse: Ints, thrusters: FixedThrusters, curve: PulseCurve, wrenc
 
 
 @kernel
-def share_out_and_deliver(
+def allocate_and_deliver(
     wrench: Floats, thrusters: FixedThrusters, curve: PulseCurve, work: Table, pulse: Ints, delivered: Floats
 ) -> None:
-    """Pulses (8,) for a wrench (4,), and what they give of it, `delivered` (4,). `work` is (2, 8)."""
-    share_out(wrench, thrusters, work[0])
+    """Write the pulses (8,) in us for a demanded `wrench` (4,), and the wrench that they give, `delivered` (4,). `work` (2, 8)
+    is memory."""
+    allocate(wrench, thrusters, work[0])
     nearest_pulses(work[0], curve, pulse)
-    add_thrusts(pulse, thrusters, curve, delivered, work[1])
+    deliver(pulse, thrusters, curve, delivered, work[1])
 
 
 class FixedAllocator(Allocator):
@@ -82,18 +84,18 @@ class FixedAllocator(Allocator):
         self._work, self._pulse = np.empty((2, OUTPUTS)), np.empty(OUTPUTS, np.int64)
 
     def allocate(self, wrench: Array) -> tuple[tuple[int, ...], Array]:
-        """See `Allocator`. A vehicle without sway as an axis asks for none."""
+        """See `Allocator`. The wrench is (3,), or (4,) for a vehicle with sway."""
         if not math.isfinite(sum(wrench.tolist())):
             return self.neutral()
         demand, delivered = np.zeros(len(AXES)), np.empty(len(AXES))
         demand[: self._axes] = wrench
-        share_out_and_deliver(demand, self._thrusters, self._curve, self._work, self._pulse, delivered)
+        allocate_and_deliver(demand, self._thrusters, self._curve, self._work, self._pulse, delivered)
         return tuple(self._pulse.tolist()), delivered[: self._axes].copy()
 
     def delivered(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
         """Wrench of eight pulse widths by the nominal thrust curve, and the yaw moment of each thruster (8,), N m."""
         wrench, moment = np.empty(len(AXES)), np.empty(OUTPUTS)
-        add_thrusts(np.array(pulse_us), self._thrusters, self._curve, wrench, moment)
+        deliver(np.array(pulse_us), self._thrusters, self._curve, wrench, moment)
         return wrench[: self._axes].copy(), moment
 
     def level_moments(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
@@ -101,7 +103,7 @@ class FixedAllocator(Allocator):
         return self.delivered(pulse_us)[1], np.zeros(OUTPUTS)
 
     def forces(self, wrench: Sequence[float] | Array) -> tuple[Array, Array]:
-        """Eight thruster forces in N for a wrench; they have no ankles: no angles."""
+        """Eight thruster forces in N for a wrench, and an empty array: there are no ankles."""
         self.allocate(np.asarray(wrench, dtype=np.float64))
         return self._work[0].copy(), np.zeros(0)
 

@@ -506,6 +506,8 @@ class KalmanEstimator(Estimator):
         )
 
     def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:
+        """Update the bank of filters with a pose, if there is one, and predict to `now` and `action`, which are written.
+        Returns False if the pose is outside the gate, and so was not used."""
         at_ns = self._at_ns
         sighting = Sighting(0.0, 0.0, 0.0, 1.0, 1.0, at_ns) if pose is None else _sighting(pose)
         return observe(

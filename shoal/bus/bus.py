@@ -228,11 +228,15 @@ class Bus:
     def forward(
         self, topic: Topic, payload: bytes, stamp_ns: int, robot: int | None = None, age_ns: int = 0
     ) -> tuple[str, Header, bytes]:
-        """Publish a message that is encoded already."""
+        """Publish an encoded message. Returns its key, header and payload.
+
+        A muted bus sends nothing: numbers are given all the same, so that receivers count the messages as lost; events and the
+        journal are kept, and sent later.
+        """
         key = self._key(topic.key(robot))
         if self.muted:
             if topic.qos not in topics.RECOVERED:
-                return key, self._next_header(key, stamp_ns, age_ns), payload  # the numbers of what was lost are missing
+                return key, self._next_header(key, stamp_ns, age_ns), payload
             self._unsent.append((topic, payload, stamp_ns, robot))
             return key, Header(self.session, 0, stamp_ns, age_ns), payload
         with self._turns.setdefault(key, threading.Lock()):  # numbered and sent in one order, also from several threads
@@ -297,6 +301,7 @@ class Bus:
         return collected
 
     def _header(self, topic: Topic, header: bytes) -> Header | None:
+        """Decode a message's header; None, and counted as rejected, if that fails."""
         try:
             return Header.decode(header, "unknown peer", topic.name)
         except DecodeError:

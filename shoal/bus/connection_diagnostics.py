@@ -83,6 +83,7 @@ _ALERTS = {
 
 
 def _refused(error: ssl.SSLError) -> str:
+    """The reason for which the station ended a TLS handshake, from the alert that it sent."""
     reason = (error.reason or str(error)).upper()
     for alert, why in _ALERTS.items():
         if alert in reason:

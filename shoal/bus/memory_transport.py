@@ -121,6 +121,7 @@ class MemoryTransport:
             presence(token, True)
 
     def _tell(self, key: str, there: bool) -> None:
+        """Report the presence or absence of `key` to its watchers."""
         with self._hub.lock:
             watchers = [entry for entry in self._hub.watchers if _matches(entry.pattern, key)]
         for entry in watchers:

@@ -61,6 +61,7 @@ def address_with(ring: Path | None, address: str) -> str:
 
 
 def _access(fleet: str, ring: Path) -> dict[str, Any]:
+    """The router's access control for the members of a key ring. Warns of certificates that end soon."""
     now = datetime.now(UTC)
     for member in expiring(ring, now):
         log.warning("the certificate of %s ends on %s UTC", member.process, f"{member.expires:%Y-%m-%d %H:%M}")

@@ -20,6 +20,7 @@ OWN_LAW = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"
 
 
 def _known(name: str) -> str:
+    """Check the name of a control law: a shipped one, or MODULE:NAME."""
     names = get_args(LawName)
     if name not in names and not re.fullmatch(OWN_LAW, name):
         raise ValueError(

@@ -1,7 +1,7 @@
 """Faults injected into a simulated run: the timeline under [[sim.faults]], and `--fault` on the command line.
 
 [[sim.faults]]
-at_s = 20.0                  # along the trajectories: 0 is when the robots start
+at_s = 20.0                  # since the flight began; a second flight has the timeline again
 for_s = 5.0                  # then it is whole again; without it, never
 what = "thruster 2/3 dead"   # the same as --fault "t=20 for=5 thruster 2/3 dead"
 """
@@ -195,6 +195,7 @@ def read_request(
 
 
 def _seconds(text: str) -> float:
+    """Parse the length of a fault. Raises ValueError."""
     try:
         value = float(text)
     except ValueError:
@@ -209,6 +210,7 @@ def _usage(name: str, effect: Effect) -> str:
 
 
 def _number(text: str, effect: Effect) -> float:
+    """Parse the number of a fault's effect, within the effect's range. Raises ValueError."""
     try:
         value = float(text)
     except ValueError:
@@ -222,9 +224,9 @@ class Fault(Section):
     """A fault of the timeline: the part that breaks, in which way, when, and for how long."""
 
     at_s: Annotated[float, Field(ge=0, examples=[20.0])]
-    """Time along the trajectories: 0 is when the robots start."""
+    """Time of the flight: 0 is when the robots start. Each flight of a session has the timeline."""
     for_s: Annotated[float | None, Field(gt=0, examples=[5.0])] = None
-    """Time after which it is whole again; left out: never."""
+    """Time after which it is whole again; left out: when the next flight begins."""
     what: Annotated[str, Field(examples=["thruster 2/3 dead"])]
     """The fault, as in --fault without its times."""
 
@@ -243,7 +245,7 @@ class Fault(Section):
             raise ValueError(f"what = {self.what!r}: {error}") from None
 
     def holds(self, time_s: float) -> bool:
-        """True if the fault is present at this time along the trajectories."""
+        """True if the fault is present at this time of the flight."""
         return time_s >= self.at_s and (self.for_s is None or time_s < self.at_s + self.for_s)
 
 

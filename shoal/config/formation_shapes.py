@@ -12,6 +12,7 @@ from shoal.frames import Array
 
 Shape = Literal["line", "column", "triangle", "diamond", "circle"]
 SHAPES: tuple[Shape, ...] = get_args(Shape)
+NODE_DECIMALS = 9  # of a node in m
 FORM_USAGE = "[SHAPE [SPACING_M]] [turn DEGREES] [scale FACTOR] [order ID,ID,...] [over SECONDS]"
 
 
@@ -32,7 +33,8 @@ def shape_nodes(shape: Shape, count: int, spacing_m: float) -> Array:
             nodes = 1j * np.exp(-2j * np.pi / count * np.arange(count))
     apart = np.abs(nodes[:, None] - nodes) + np.where(np.eye(count) > 0, np.inf, 0.0)
     nodes = (nodes - nodes.mean()) * (spacing_m / apart.min())
-    return np.stack([nodes.real, nodes.imag, np.zeros(count)], axis=1)
+    # Sines differ in the last bit from processor to processor, and nodes are part of the experiment's hash; + 0.0: no -0.0
+    return np.stack([nodes.real, nodes.imag, np.zeros(count)], axis=1).round(NODE_DECIMALS) + 0.0
 
 
 def _rows(count: int) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:

@@ -158,6 +158,7 @@ def _entry(name: str, when: str, value: dict[str, Any], required: bool, live: bo
 
 
 def _models(root: type[Section]) -> Iterator[type[Section]]:
+    """A section's class, and those of all sections within it."""
     yield root
     for field in root.model_fields.values():
         for section in sections_of(field.annotation):

@@ -124,6 +124,7 @@ def toml_value(value: Any) -> str:
 
 
 def _child(node: Any, name: str, setting: str, where: str) -> Any:
+    """The part `name` of a table or list that a setting leads through; a table that is missing is made. Raises ConfigError."""
     if isinstance(node, list):
         return node[_list_index(node, name, setting)]
     if isinstance(node, dict):
@@ -132,6 +133,7 @@ def _child(node: Any, name: str, setting: str, where: str) -> Any:
 
 
 def _list_index(node: list[Any], name: str, setting: str) -> int:
+    """The index of a list's entry that a setting names. Raises ConfigError."""
     if name.isdecimal() and int(name) < len(node):
         return int(name)
     allowed = f"0 to {len(node) - 1}" if node else "none, the list is empty"

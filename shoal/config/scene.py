@@ -186,6 +186,7 @@ def read_form(text: str, at_s: float) -> tuple[Change, ...]:
 
 
 def _form_order(text: str) -> tuple[int, ...]:
+    """Parse the robots' numbers of a change of formation, in the order of their nodes. Raises ValueError."""
     ids = tuple(int(word) if word.isascii() and word.isdigit() and len(word) < 4 else 0 for word in text.split(","))
     if 0 in ids or len(set(ids)) < len(ids):
         raise ValueError(f"order {text}: must be the robots' numbers, each once, with commas: 2,1,3")
@@ -193,6 +194,7 @@ def _form_order(text: str) -> tuple[int, ...]:
 
 
 def _form_number(name: str, text: str) -> float:
+    """Parse the number of a change of formation: spacing, turn, scale or duration. Raises ValueError."""
     least, most = {"spacing": (0.1, 20.0), "turn": (-360.0, 360.0), "scale": (0.1, 10.0), "over": (1.0, 600.0)}[name]
     try:
         value = float(text)

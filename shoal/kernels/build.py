@@ -315,6 +315,7 @@ def free_memory_mb() -> float:
 
 
 def _lines(path: str) -> list[str]:
+    """Lines of a text file; none if it cannot be read."""
     try:
         return Path(path).read_text(encoding="utf-8").splitlines()
     except OSError:

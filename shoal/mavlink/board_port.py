@@ -8,6 +8,7 @@ import select
 import socket
 import termios
 import time
+import tty
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
@@ -263,7 +264,7 @@ def _listener() -> Receiver:
 def _keep_dtr(descriptor: int) -> None:
     """Have a port keep DTR when it is closed: a program that opens it later does not reset the board again."""
     settings = termios.tcgetattr(descriptor)
-    settings[2] &= ~termios.HUPCL
+    settings[tty.CFLAG] &= ~termios.HUPCL
     termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
 

@@ -40,6 +40,7 @@ class ParameterClient:
         self.error: tuple[str, int] | None = None  # PARAM_ERROR about that one: its name, MAV_PARAM_ERROR
 
     def _is_board(self, peer: Peer) -> bool:
+        """True for the peer whose parameters are wanted. Boards of other robots are remembered, to name them in messages."""
         wanted = self.robot_id in (None, peer[0])
         if peer[1] == BOARD_COMPONENT and not wanted:
             self._others.add(peer[0])
@@ -90,7 +91,8 @@ class ParameterClient:
         return self._list.is_complete
 
     def objection(self, trouble: str = "") -> str:
-        """The reason to send nothing more: an autopilot is there, or nobody is heard; empty for a thruster board."""
+        """The reason to send nothing more: an autopilot is there, or nobody is heard (see `silence`); empty for a thruster
+        board."""
         if self.autopilot:
             return f"{self.autopilot} is there, no thruster board: it takes pulses for a pilot's sticks"
         return self.silence(trouble)

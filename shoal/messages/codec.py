@@ -171,6 +171,7 @@ def _cut(text: str, longest: int) -> str:
 
 
 def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
+    """The member of an enum with this value. Raises _Invalid with the allowed ones."""
     try:
         return enum(value)
     except ValueError:
@@ -337,7 +338,8 @@ def _encode_pixels(frame: Frame, stamp_ns: int) -> bytes:
 
 
 def _frame_from_protobuf(image: Any, pixels: memoryview | None = None) -> Frame:
-    """`pixels` are the image's data, where these are not in it."""
+    """Check a foxglove.RawImage, and make a frame (height, width) uint8 of it without a copy. `pixels`: its data, where they
+    were split off before the image was parsed."""
     data = image.data if pixels is None else pixels
     if image.encoding == SHARED:
         raise _Invalid("encoding", "the pixels are in memory that `sim-bridge sil` shares with its own localizer alone")

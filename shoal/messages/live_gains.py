@@ -43,11 +43,12 @@ class TunableParameter:
 
 def tunable_parameters(controller: ControllerConfig) -> tuple[TunableParameter, ...]:
     """All parameters that have an effect with this law, with their present values."""
-    return tuple(parameter for parameter in _within(ROOT, controller) if not parameter.key.startswith(_idle(controller)))
+    without_effect = _prefixes_without_effect(controller)
+    return tuple(parameter for parameter in _within(ROOT, controller) if not parameter.key.startswith(without_effect))
 
 
-def _idle(controller: ControllerConfig) -> tuple[str, ...]:
-    """Parameters that another law has."""
+def _prefixes_without_effect(controller: ControllerConfig) -> tuple[str, ...]:
+    """Prefixes of the keys that have no effect with the controller's law, because only other laws use them."""
     match controller.law:
         case "eso-mpc-article":
             return (f"{ROOT}.nmpc.",)
@@ -99,6 +100,7 @@ def tuned(controller: ControllerConfig, values: Mapping[str, float]) -> Controll
 
 
 def _names(keys: set[str]) -> list[str]:
+    """Keys for an error message, sorted: a list by its own key, without those of its entries."""
     return sorted({key.rpartition(".")[0] if key.rpartition(".")[2].isdecimal() else key for key in keys})
 
 
@@ -124,7 +126,8 @@ def values_of(settings: Sequence[str]) -> dict[str, float]:
 
 
 def _wrong_length(key: str, value: object) -> str:
-    """Reason to refuse a value for a key that holds a list: some of its numbers alone would be a set that nobody gave."""
+    """The reason to refuse a value for a key that holds a list of another length, or ""; a shorter list would be mixed with
+    the present values."""
     section: Any = ControllerConfig
     for name in key.split(".")[1:]:
         field = section.model_fields.get(name) if isinstance(section, type) and issubclass(section, Section) else None
@@ -138,7 +141,8 @@ def _wrong_length(key: str, value: object) -> str:
 
 
 def of_message(controller: ControllerConfig, message: Tuning) -> ControllerConfig:
-    """The controller that a message asks for. Raises ConfigError also for one that contradicts itself."""
+    """The controller with a message's gains. Raises ConfigError for gains that are not allowed, and for a message that does
+    not fit together, or whose id is not that of its gains."""
     if len(message.keys) != len(message.values) or len(set(message.keys)) != len(message.keys):
         raise ConfigError(
             f"tuning {message.id}: {len(message.keys)} keys and {len(message.values)} values do not fit together"

@@ -385,7 +385,7 @@ class StationHeartbeat:
     out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that are out of the water.
     began_ns: Annotated[Int64, 9] = 0  # Begin of the flight on the station's clock; 0: not known.
     flight_s: Annotated[float, 10] = 0.0  # Planned end of the flight; 0: none, or on the way home.
-    other_path: Annotated[bool, 11] = False  # The path that is flown is another experiment's.
+    other_path: Annotated[bool, 11] = False  # A person gave another path, form or way than the experiment's.
     ready: Annotated[bool, 12] = False  # No flight is under way, and no check of the preflight keeps robots from one.
     sightings: Annotated[tuple[Uint32, ...], 13] = ()  # Robots whose plans no longer come, and which the camera sees,
     sightings_m: Annotated[Array, 14, columns("x_m", "y_m")] = array(-1, 2)  # where they are.

@@ -8,7 +8,7 @@ from collections import defaultdict
 from statistics import median
 
 from shoal.messages import topics
-from shoal.messages.messages import LocalizerStatus, RobotState
+from shoal.messages.messages import LocalizerStatus, RobotState, Truth
 from shoal.messages.topics import Qos, Topic
 
 ALIKE_NS = 20_000_000  # clocks that are nearer are one, and stamps stay as they are: a busy recorder is late by less
@@ -16,6 +16,7 @@ OLD_LINE_NS = 1_000_000_000  # a line of a log that comes later than this was ke
 WINDOW_NS = 10_000_000_000  # in which the quickest counts: clocks drift by at most 2 ms meanwhile
 
 
+LINE_CLOCKS = (RobotState, Truth, LocalizerStatus)  # types of messages by which lines of the log are dated, of each sender one
 _UNKNOWN = (topics.POSE.type, topics.OBSTACLES.type)  # messages about a picture that do not say how old it was
 _Clock = tuple[int, bool]  # session, and whether of its events: a localizer stamps all else by its camera's clock
 
@@ -33,6 +34,12 @@ def is_old_line(written_ns: int, arrived_ns: int) -> bool:
     """True for a line of a log that its sender has kept: a program that outlives the station, or was out of radio, gives the
     lines of before to whoever it hears next. Both instants are of one clock."""
     return arrived_ns - written_ns > OLD_LINE_NS
+
+
+def stamps_lines_too(topic: Topic, ahead_ns: int) -> bool:
+    """True if messages of a topic, by whose stamps our clock is so far ahead of their sender's, are stamped by the clock by
+    which that sender stamps its lines of the log. A localizer's may be stamped by a camera's, unless that is our clock too."""
+    return topic.type in LINE_CLOCKS and (topic.type is not LocalizerStatus or abs(ahead_ns) <= ALIKE_NS)
 
 
 class SessionClocks:

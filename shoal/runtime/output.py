@@ -51,6 +51,7 @@ class _Writer:
             written.wait(limit_s)
 
     def _run(self) -> None:
+        """Write texts to their streams as they come, and set each event once all texts before it are written."""
         while True:
             match self._texts.get():
                 case threading.Event() as written:

@@ -342,6 +342,7 @@ def folder_in_use(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def _empty_ones_removed(*folders: Path) -> Iterator[None]:
+    """Remove those of these folders that are empty when the block ends."""
     try:
         yield
     finally:

@@ -89,6 +89,7 @@ def _work_tree_commit(root: Path) -> str:
 
 
 def _recorded(root: Path) -> str:
+    """The commit that was recorded when this code was packed; empty if there is none."""
     try:
         return (root / "shoal" / RECORDED).read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 HEARD_WITHIN_S = 5.0
 STRANGERS = 9  # peers without a key; more than the board has places for
-CAREFUL = "Thrusters will turn slowly, each way; on a board that is wrong, perhaps fast. Is nobody's hand near them?"
+CAREFUL = "Thrusters will turn slowly, each way; on a board that is wrong, perhaps fast. Are all hands away from them?"
 
 
 class LinkWire:
@@ -42,6 +42,7 @@ class LinkWire:
         return self._link.read()
 
     def strangers(self) -> tuple[Callable[[], None], Callable[[], int]] | None:
+        """See `BoardWire`: over UDP STRANGERS peers, at ports of their own; a serial line has one other end."""
         from shoal.mavlink.board_port import UdpLink
 
         link = self._link
@@ -49,11 +50,14 @@ class LinkWire:
             return None
         self._others = self._others or [UdpLink(*link.address) for _ in range(STRANGERS)]
 
-        def speak() -> None:
+        def send_bytes() -> None:
             for other in self._others:
                 other.send(b"x")
 
-        return speak, lambda: sum(bool(other.read()) for other in self._others)
+        def count_answered() -> int:
+            return sum(bool(other.read()) for other in self._others)
+
+        return send_bytes, count_answered
 
     def close(self) -> None:
         """Close the links that `strangers` opened."""
@@ -85,7 +89,7 @@ def board_conformance(
     from sim_bridge.board_conformance.runner import RuleVerdict, examine
 
     if not dry and not yes and not typer.confirm(CAREFUL, err=True):
-        dry = True
+        raise ConfigError("nothing was tried (allowed: with all hands away; --dry tries every rule that needs no thrust)")
     signing = Signing.of(key, "conformance") if key is not None else None
     address = port if port.startswith(("udp:", "serial:")) else f"serial:{port}"
     link = open_link(address, secured=signing is not None or insecure, option="--port")

@@ -402,6 +402,7 @@ def _set_armed(probe: BoardProbe) -> Measured:
 
 
 def _unknown(probe: BoardProbe) -> Measured:
+    """Set a parameter that does not exist: the board must answer PARAM_ERROR."""
     before = len(probe.station.values)
     probe.wire.send(probe.station.set("NO_SUCH_THING", 1.0))
     probe.listen(0.3)
@@ -431,7 +432,7 @@ def _simulated(probe: BoardProbe) -> bool:
 
 
 def _hil(probe: BoardProbe) -> Measured:
-    """Measurements are the simulator's, and HEARTBEAT says so; after HIL mode they are the board's own again."""
+    """Check that in HIL mode measurements are the simulator's, and HEARTBEAT says so; and afterwards the board's own again."""
     says_hil = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
     measures_simulated = probe.stream(probe.motion, 0.5, lambda: _simulated(probe))
     probe.set("HIL_MODE", 0.0)
@@ -447,7 +448,7 @@ def _hil(probe: BoardProbe) -> Measured:
 
 
 def _hil_silence(probe: BoardProbe) -> Measured:
-    """Check that without HIL_SENSOR the board tells no measurements, and its outputs all the same."""
+    """Check that without HIL_SENSOR the board reports no measurements, but still its outputs."""
     if not probe.stream(probe.motion, 0.5, lambda: _simulated(probe)):
         return False, "own measurements"
     probe.listen(0.2)
@@ -458,7 +459,8 @@ def _hil_silence(probe: BoardProbe) -> Measured:
 
 
 def _hil_stranger(probe: BoardProbe) -> Measured:
-    """Send simulated measurements as another system. Those of a rule before may be the last that were told."""
+    """Check that the board ignores simulated measurements of another system: no burst with them comes. The last burst may
+    still hold those that a rule before has sent."""
     before_ms = probe.computer.telemetry.board_ms
     probe.stream(lambda: probe.motion(probe.other_simulator), 0.4)
     is_accepted = probe.computer.telemetry.board_ms != before_ms and _simulated(probe)
@@ -475,12 +477,13 @@ def _hil_battery(probe: BoardProbe) -> Measured:
 
 
 def _hil_outputs(probe: BoardProbe) -> Measured:
-    """Outside HIL mode HIL_OUTPUTS cannot be set."""
+    """Check that outside HIL mode HIL_OUTPUTS cannot be set."""
     is_accepted = probe.set("HIL_OUTPUTS", 1.0)
     return not is_accepted, "taken" if is_accepted else "refused"
 
 
 def _hil_armed(probe: BoardProbe) -> Measured:
+    """Check that an armed board does not enter HIL mode."""
     if not probe.arm():
         return False, "does not arm"
     probe.wire.send(probe.setting("HIL_MODE", 1.0))
@@ -511,6 +514,7 @@ def _forged(probe: BoardProbe) -> Measured:
 
 
 def _replayed(probe: BoardProbe) -> Measured:
+    """Check that the board ignores a signed frame that it has had before."""
     recorded = probe.computer.arm(False)
     probe.wire.send(recorded)
     probe.listen(0.3)
@@ -522,14 +526,14 @@ def _strangers(probe: BoardProbe) -> Measured:
     others = probe.wire.strangers()
     if others is None:
         return True, "the board has one other end"
-    speak, hear = others
+    send_bytes, count_answered = others
     for _ in range(3):
-        speak()
+        send_bytes()
         probe.listen(0.2)
     before = probe.bytes_heard
     probe.listen(0.2)
-    replies = hear()
-    return replies == 0 and probe.bytes_heard > before, f"{replies} of them were told something"
+    answered = count_answered()
+    return answered == 0 and probe.bytes_heard > before, f"{answered} of them were told something"
 
 
 AGE = f"disarmed and neutral within {STOPS_WITHIN_S * 1e3:.0f} ms of the last override"

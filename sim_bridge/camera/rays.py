@@ -48,6 +48,8 @@ class CameraRays:
         return [self._window(*sides) for sides in np.concatenate([low, high], axis=1).tolist()]
 
     def _window(self, low_x: float, low_y: float, high_x: float, high_y: float) -> ImageRect | None:
+        """The rectangle of whole Bayer squares that holds a part of the picture (px), with the blocks around it; None outside
+        the picture."""
         if not (high_x >= 0 and high_y >= 0 and low_x <= self.width - 1 and low_y <= self.height - 1):  # NaN is nowhere
             return None
         rows, columns = self.blocks.surface_x.shape

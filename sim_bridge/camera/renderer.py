@@ -29,6 +29,7 @@ from sim_bridge.plant.random_streams import Stream, generator
 MARGIN_PX = 4.0  # px around a body's projection, for ripples and soft edges
 Raisable = TypeVar("Raisable", Camera, Landmark)  # what has a position
 STEEPEST = 0.5  # largest difference of a line's slopes in air and in water: 60 degrees off the vertical
+WATER, ROBOTS, PIXEL_NOISE, SWAY, BUBBLES = range(5)  # streams of random numbers within Stream.CAMERA
 
 
 class Renderer:
@@ -36,46 +37,30 @@ class Renderer:
     unless `backdrop.prepare` came before."""
 
     def __init__(self, experiment: Experiment, seed: int, number: int = 0) -> None:
-        """`number` is that of one of several cameras: they see the same water and robots, each with pixel noise of its own."""
+        """Prepare backgrounds, sprites and noise. `number` is that of one of several cameras: they see the same water and
+        robots, each with pixel noise of its own."""
         experiment = with_true_camera(experiment)
         self._camera, self._picture = experiment.camera, experiment.sim.picture
         self._robots = experiment.robot_ids
-        random = generator(seed, Stream.CAMERA, 0)
-        motion = experiment.sim.camera_motion
-        swings = CameraSway(experiment.camera, motion, generator(seed, Stream.CAMERA, 3))
-        # the water without robots at any time
-        self.backdrop = MovingBackground(experiment, swings, random) if motion.moves else StaticBackground(experiment, random)
-        shades = [0 if self._picture.alike else i for i in range(len(self._robots))]
-        self._sprites = [
-            BodySprite.robot(robot, experiment, generator(seed, Stream.CAMERA, 1, shade))
-            for robot, shade in zip(experiment.robots, shades, strict=True)
-        ]
-        self._balls = [(drifter, BodySprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
-        self._own_balls = self._balls
-        self._whole = self._sprites
-        px_per_m, family = experiment.camera.px_per_m, experiment.localizer.marker_family
-        marks = experiment.marks
-        self._landmarks = Bodies(
-            [BodySprite.landmark(mark, px_per_m, family) for mark in marks],
-            np.array([[*mark.position_m, mark.yaw_rad] for mark in marks]),
-            np.zeros((len(marks), 4)),
-            np.zeros((len(marks), 2)),
-        )
-        wave, depth_m = SurfaceWave(experiment), experiment.pool.size_m[2]
-        bent = 0.25 * float(np.linalg.norm(wave.number)) * depth_m + STEEPEST  # displacement of a line over the amplitude
-        self._margin_px = MARGIN_PX + px_per_m * wave.amplitude_m * bent
-        self._bubbles = Bubbles(experiment.pool, generator(seed, Stream.CAMERA, 4))
         self._hull_m = experiment.vehicle.radius_m
-        random = generator(seed, Stream.CAMERA, 2, number)
+        self.backdrop = _background(experiment, seed)
+        self._marked_sprites = _robot_sprites(experiment, seed)
+        self._sprites = self._marked_sprites  # as they are drawn now: some without markers
+        self._experiments_balls = [(drifter, BodySprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
+        self._balls = self._experiments_balls  # in the water now: those of faults as well
+        self._landmarks = _landmarks(experiment)
+        self._margin_px = _margin_px(experiment)
+        self._bubbles = Bubbles(experiment.pool, generator(seed, Stream.CAMERA, BUBBLES))
+        random = generator(seed, Stream.CAMERA, PIXEL_NOISE, number)
         self._noise = SensorNoise(experiment.camera.size_px, self._picture.noise, random)
 
     def hide_markers(self, unmarked: Collection[int]) -> None:
         """From now on draw these robots, by index, without their markers, and the others with."""
-        self._sprites = [sprite.unmarked() if i in unmarked else sprite for i, sprite in enumerate(self._whole)]
+        self._sprites = [sprite.unmarked() if i in unmarked else sprite for i, sprite in enumerate(self._marked_sprites)]
 
     def drop_balls(self, balls: Sequence[Drifter]) -> None:
         """From now on draw these balls besides the experiment's."""
-        self._balls = [*self._own_balls, *((ball, BodySprite.ball(ball.radius_m)) for ball in balls)]
+        self._balls = [*self._experiments_balls, *((ball, BodySprite.ball(ball.radius_m)) for ball in balls)]
 
     def render(
         self, eta: Array, nu: Array, time_s: float, frame_index: int, tilt: Array | None = None, bubbles: int = 0
@@ -133,6 +118,42 @@ class Renderer:
         rows = optics.see(bodies.eta[:, :3]).pixels[:, 1]
         late_s = self._camera.readout_s * (rows / self._camera.size_px[1] - 0.5)
         return bodies.later(np.where(np.isnan(rows), 0.0, late_s))  # NaN: above the lens
+
+
+def _background(experiment: Experiment, seed: int) -> MovingBackground | StaticBackground:
+    """The pool and its water without robots, at any time."""
+    motion, random = experiment.sim.camera_motion, generator(seed, Stream.CAMERA, WATER)
+    if not motion.moves:
+        return StaticBackground(experiment, random)
+    sway = CameraSway(experiment.camera, motion, generator(seed, Stream.CAMERA, SWAY))
+    return MovingBackground(experiment, sway, random)
+
+
+def _robot_sprites(experiment: Experiment, seed: int) -> list[BodySprite]:
+    """The robots' sprites, with markers; each robot has its own shades of colour, or all the same (sim.picture.alike)."""
+    shades = [0 if experiment.sim.picture.alike else i for i in range(len(experiment.robots))]
+    return [
+        BodySprite.robot(robot, experiment, generator(seed, Stream.CAMERA, ROBOTS, shade))
+        for robot, shade in zip(experiment.robots, shades, strict=True)
+    ]
+
+
+def _landmarks(experiment: Experiment) -> Bodies:
+    """Landmarks and check marks as bodies that rest."""
+    marks, family = experiment.marks, experiment.localizer.marker_family
+    return Bodies(
+        [BodySprite.landmark(mark, experiment.camera.px_per_m, family) for mark in marks],
+        np.array([[*mark.position_m, mark.yaw_rad] for mark in marks]),
+        np.zeros((len(marks), 4)),
+        np.zeros((len(marks), 2)),
+    )
+
+
+def _margin_px(experiment: Experiment) -> float:
+    """Margin around a body's projection: MARGIN_PX, and by how much the wave displaces a line of sight at most."""
+    wave, depth_m = SurfaceWave(experiment), experiment.pool.size_m[2]
+    displacement_share = 0.25 * float(np.linalg.norm(wave.number)) * depth_m + STEEPEST  # of the wave's amplitude
+    return MARGIN_PX + experiment.camera.px_per_m * wave.amplitude_m * displacement_share
 
 
 def with_true_camera(experiment: Experiment) -> Experiment:

@@ -14,7 +14,7 @@ from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, sample_mosaic
 from sim_bridge.camera.scene import WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
-from sim_bridge.camera.water_optics import PHASE_S, Blend, RowLight, WaterLight, caustic_levels, light_up
+from sim_bridge.camera.water_optics import PHASE_S, Blend, RowLight, WaterLight, blend_lit_view, caustic_levels
 
 
 class StaticBackground:
@@ -26,18 +26,18 @@ class StaticBackground:
         lines = view.pixel_lines()
         hit = trace_to_surfaces(lines, experiment.pool)
 
-        # What moving water is seen over: the depth of each block of pixels, and the still pool.
-        blocks = cv2.resize(hit.z, None, fx=1.0 / BLOCK, fy=1.0 / BLOCK, interpolation=cv2.INTER_AREA)
-        blocks = cv2.resize(blocks, view.blocks.surface_x.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        self._scene = WaterView(waters, view, np.asarray(blocks, dtype=np.float32))
+        # Behind the moving water: the depth at each block of pixels, and the picture of the still pool.
+        depths = cv2.resize(hit.z, None, fx=1.0 / BLOCK, fy=1.0 / BLOCK, interpolation=cv2.INTER_AREA)
+        depths = cv2.resize(depths, view.blocks.surface_x.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        self._scene = WaterView(waters, view, np.asarray(depths, dtype=np.float32))
         self._vignette = vignette(view, waters.picture.vignetting)
-        lean = np.sqrt(1.0 + lines.water_x**2 + lines.water_y**2)
-        still = draw_still_pool(experiment, hit, lean, LENS_SOFTNESS_PX, random)
+        path_per_depth = np.sqrt(1.0 + lines.water_x**2 + lines.water_y**2)
+        still = draw_still_pool(experiment, hit, path_per_depth, LENS_SOFTNESS_PX, random)
         self._planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
-        self._pulls = self._shift_per_slope()
+        self._px_per_slope = self._shift_per_slope()
         self._pixels = np.meshgrid(np.arange(view.width, dtype=np.float32), np.arange(view.height, dtype=np.float32))
 
-        # Where each Bayer square meets the pattern of the caustics, and how much of it reaches so deep.
+        # For each Bayer square: its place on the grid of the caustics' pattern, and the pattern's strength at that depth.
         grid = waters.caustics.grid_coordinates(*plan_coordinates(hit, experiment.pool))
         self._grid_column, self._grid_row = (np.ascontiguousarray(plane[0::2, 0::2]) for plane in grid)
         self._reach = waters.reach(hit.z[0::2, 0::2])
@@ -45,7 +45,7 @@ class StaticBackground:
         self._scratch = RowLight(*(np.empty(n, np.float32) for n in (squares[1], squares[1], 2 * squares[1], 2 * squares[1])))
         self._blend = np.empty((view.height, view.width), np.uint8)
 
-        # The loops lie each in one array, which the system puts on large pages: less time to find them in memory.
+        # Pictures of the loops, drawn when first needed. Each loop is one array, for which the system uses large pages.
         ripples, caustics = waters.ripple_clock.phases, waters.caustic_clock.phases
         self._views = np.empty((ripples, view.height, view.width), np.uint8)
         self._glares = np.empty((ripples, *squares), np.uint8)
@@ -67,14 +67,14 @@ class StaticBackground:
         views, glares = Blend(view, next_view, share), Blend(glare, next_glare, share)
         first, second, share = waters.caustic_clock.phase(time_s)
         levels = Blend(self._level_phase(first), self._level_phase(second), share)
-        light_up(views, glares, levels, self._reach, self._scratch, self._blend)
+        blend_lit_view(views, glares, levels, self._reach, self._scratch, self._blend)
         return self._scene, self._blend
 
     def _view_phase(self, number: int) -> tuple[Bytes, Bytes]:
         """The pool through the ripples' loop: a mosaic (height, width), and the glare over each of its Bayer squares."""
         if not self._are_drawn[0][number]:
             view = self._view
-            (xx, xy), (yx, yy) = self._pulls  # of the water's slopes on the places that are seen, px
+            (xx, xy), (yx, yy) = self._px_per_slope
             slopes = self._scene.slopes(number * PHASE_S)
             slope_x, slope_y = slopes
             pixel_x, pixel_y = self._pixels

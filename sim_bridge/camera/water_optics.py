@@ -370,37 +370,41 @@ def caustic_levels(pattern: Bytes, column: Float, row: Float) -> Bytes:
 class RowLight(NamedTuple):
     """Memory for a row of a picture. Each is an array of its own, so that all loops run several pixels at a time."""
 
-    square_light: Line  # of its Bayer squares (n,)
-    square_shine: Line
-    light: Line  # of its pixels (2 n,)
-    shine: Line
+    square_light: Line  # of its Bayer squares (n,): factor
+    square_glare: Line  # grey levels to add
+    light: Line  # the same of its pixels (2 n,)
+    glare: Line
 
 
 @kernel
-def light_up(views: Blend, glares: Blend, levels: Blend, reach: Plane, scratch: RowLight, raw: Picture) -> None:
-    """A mosaic `raw` between two views (height, width) of the pool, lit by a pattern between two others, and then the glare.
-    Glares, the patterns' levels and their `reach` have a value for each Bayer square. All float32."""
+def blend_lit_view(views: Blend, glares: Blend, levels: Blend, caustics: Plane, scratch: RowLight, raw: Picture) -> None:
+    """Write the mosaic `raw` (height, width) of one instant: view x light + glare, each between two pictures of its loop.
+
+    `views` are mosaics, the others have a value for each Bayer square: glares in grey levels, the caustic patterns' levels in
+    CAUSTIC_UNIT for the mean light, and the strength `caustics` (0 to 1) with which a pattern counts. All in float32.
+    """
     view, next_view, _ = views
     view_share, levels_share = np.float32(views.share), np.float32(levels.share)
     half, one, most = np.float32(0.5), np.float32(1.0), np.float32(255.0)
     per_unit = np.float32(1.0 / CAUSTIC_UNIT)
     height, width = raw.shape
-    square_light, square_shine, light, shine = scratch
+    square_light, square_glare, light, glare = scratch
     for i in range(height):
         if i % 2 == 0:
-            before, after, strength = levels.first[i // 2], levels.second[i // 2], reach[i // 2]
-            glow, later = glares.first[i // 2], glares.second[i // 2]
-            for j in range(reach.shape[1]):
-                level = np.float32(before[j]) + levels_share * (np.float32(after[j]) - np.float32(before[j]))
-                square_light[j] = one + strength[j] * (level * per_unit - one)
-                square_shine[j] = np.float32(glow[j]) + view_share * (np.float32(later[j]) - np.float32(glow[j]))
-            for j in range(reach.shape[1]):
+            level, next_level, strength = levels.first[i // 2], levels.second[i // 2], caustics[i // 2]
+            first_glare, next_glare = glares.first[i // 2], glares.second[i // 2]
+            for j in range(caustics.shape[1]):
+                blended = np.float32(level[j]) + levels_share * (np.float32(next_level[j]) - np.float32(level[j]))
+                square_light[j] = one + strength[j] * (blended * per_unit - one)
+                glare_step = np.float32(next_glare[j]) - np.float32(first_glare[j])
+                square_glare[j] = np.float32(first_glare[j]) + view_share * glare_step
+            for j in range(caustics.shape[1]):
                 light[2 * j] = square_light[j]
                 light[2 * j + 1] = square_light[j]
-            for j in range(reach.shape[1]):
-                shine[2 * j] = square_shine[j]
-                shine[2 * j + 1] = square_shine[j]
+            for j in range(caustics.shape[1]):
+                glare[2 * j] = square_glare[j]
+                glare[2 * j + 1] = square_glare[j]
         first, second, result = view[i], next_view[i], raw[i]
         for j in range(width):
             value = np.float32(first[j]) + view_share * (np.float32(second[j]) - np.float32(first[j]))
-            result[j] = np.uint8(min(value * light[j] + shine[j], most) + half)
+            result[j] = np.uint8(min(value * light[j] + glare[j], most) + half)

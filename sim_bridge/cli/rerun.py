@@ -53,6 +53,7 @@ def rerun(
 
 
 def _print_comparisons(comparisons: "list[StepComparison]") -> None:
+    """Print a table of the fields that differ for each robot, and the gaps of the log."""
     from rich.table import Table
 
     console = terminal()

@@ -78,8 +78,12 @@ def sil(
         ),
     ] = None,
     at: Annotated[
-        float, typer.Option(min=0.0, help="With --from: the moment, in seconds along the trajectories.", callback=finite)
-    ] = 0.0,
+        float | None,
+        typer.Option(min=0.0, help="With --from: the moment, in seconds along the trajectories. Default: 0.", callback=finite),
+    ] = None,
+    flight: Annotated[
+        int | None, typer.Option(min=1, help="With --from: of several flights in the run, which. Default: the last.")
+    ] = None,
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
 
@@ -100,7 +104,9 @@ def sil(
     if source is not None and dry_run:
         raise typer.BadParameter("--dry-run is for an EXPERIMENT, not for --from")
     if source is not None:
-        _fly_from_run(experiment, source, at, _changes(seed, duration, settings), faults, out)
+        _fly_from_run(experiment, source, at or 0.0, flight, _changes(seed, duration, settings), faults, out)
+    if at is not None or flight is not None:
+        raise typer.BadParameter("--at and --flight name a moment of a run: with --from only")
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from shoal.config.experiment import NO_CAMERA
@@ -272,16 +278,23 @@ def _changes(seed: int | None, duration_s: float | None, settings: list[str] | N
 
 
 def _fly_from_run(
-    experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
+    experiment: str | None,
+    source: Path,
+    at_s: float,
+    flight: int | None,
+    changes: list[str],
+    faults: list[str] | None,
+    out: Path,
 ) -> NoReturn:
     from sim_bridge.in_process import resume, run
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
-    loaded, left_out = resume.load_changed(source, changes, faults or ())
+    moment = resume.find_moment(source, at_s, flight)
+    loaded, left_out = resume.load_changed(source, moment, changes, faults or ())
     caution(*left_out)
     _cautioned(loaded)
-    fleet, water = resume.prepared(loaded, source, at_s)
+    fleet, water = resume.prepared(loaded, source, moment)
     folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), terminal(background(sys.stdout))
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))

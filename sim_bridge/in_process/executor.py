@@ -208,19 +208,19 @@ class MemoryPort:
 
 
 class MemoryPorts(BoardPorts):
-    """The boards' ports. Instead of waiting for what the others send they have them send it."""
+    """The boards' ports. Instead of waiting for the agents' datagrams they call `step_others`, in which agents send them."""
 
     all_heard = True
 
-    def __init__(self, wires: list[MemoryWire], robots: tuple[int, ...], seed: int, others: Callable[[], None]) -> None:
+    def __init__(self, wires: list[MemoryWire], robots: tuple[int, ...], seed: int, step_others: Callable[[], None]) -> None:
         super().__init__([MemoryPort(wire) for wire in wires], robots, seed)
-        self._others = others
+        self._step_others = step_others
 
     def forget(self) -> None:
         """Do nothing: no datagram is ever left waiting."""
 
     def wait(self, timeout_s: float) -> None:
-        self._others()
+        self._step_others()
 
     def close(self) -> None:
         """Do nothing: nothing is open."""
@@ -232,7 +232,7 @@ class Executor:
     def __init__(
         self, experiment: Experiment, run_dir: Path, hub: MemoryHub, *, poses: bool = False, pace: float | None = None
     ) -> None:
-        """`run_dir` is there, and may hold the experiment's file. Anybody may listen at the `hub`. With `poses` there is no
+        """Prepare a run into the existing folder `run_dir`. Others may listen at the `hub`. With `poses` there is no
         localizer: the simulator publishes poses in its place. `pace`: at most this many times real time."""
         self.stop = Stop(install=False)
         self._experiment, self._run_dir, self._hub = experiment, run_dir, hub
@@ -269,7 +269,7 @@ class Executor:
 
             parts: list[Part] = []
 
-            def part(name: str) -> Part:
+            def make_part(name: str) -> Part:
                 parts.append(Part(name, self._hub, log_dir, closing, self._decoder.decode))
                 return parts[-1]
 
@@ -277,7 +277,7 @@ class Executor:
             listener.subscribe(topics.TICK, None, lambda *_: setattr(self, "_ticked", True))
             listener.subscribe(topics.EXPOSED, None, self._note_exposed)
             try:
-                self._run_all(part, automatic, web_options(page) if page is not None else None)
+                self._run_all(make_part, automatic, web_options(page) if page is not None else None)
             finally:  # also of a run that breaks: a localizer that is not finished has a thread, which keeps the program
                 self.stop.request()
                 for one in parts:
@@ -285,22 +285,23 @@ class Executor:
             self.stop.raise_failure()
         return bool(self._station.result)
 
-    def _run_all(self, part: Callable[[str], Part], automatic: bool, web: WebOptions | None) -> None:
-        """Begin all nodes and run the simulator, who has the others do their steps, to its end."""
+    def _run_all(self, make_part: Callable[[str], Part], automatic: bool, web: WebOptions | None) -> None:
+        """Begin station, localizers and agents, then run the simulator to its end. Where it waits for the others' tick, it
+        calls `_step_others` (MemoryPorts)."""
         experiment = self._experiment
-        self._station = part("groundstation")
+        self._station = make_part("groundstation")
         self._station.begin(lambda bus: self._cycles(bus, automatic, web))
         self._came_up()
         for camera in () if self._poses else (*experiment.camera_names, ""):
-            self._localizers[camera] = part(topics.localizer_name(camera))
+            self._localizers[camera] = make_part(topics.localizer_name(camera))
             self._localizers[camera].begin(lambda bus, c=camera: self._localizer(bus, c))  # type: ignore[misc]
         wires = [MemoryWire() for _ in experiment.robot_ids]
         for robot, wire in zip(experiment.robot_ids, wires, strict=True):
-            agent = part(f"agent-{robot}")
+            agent = make_part(f"agent-{robot}")
             self._agents.append(agent)
             agent.begin(lambda bus, r=robot, w=wire: agent_in_lockstep(experiment, r, bus, w, self.stop).steps())  # type: ignore[misc]
-        ports = MemoryPorts(wires, experiment.robot_ids, experiment.seed, self._others)
-        pool = part("sim-bridge")
+        ports = MemoryPorts(wires, experiment.robot_ids, experiment.seed, self._step_others)
+        pool = make_part("sim-bridge")
         with _rare_collections(), pool.acting():
             PoolNode(experiment, pool.bus, ports, self.stop, True, self._poses, pace=self._pace).run()
 
@@ -326,8 +327,8 @@ class Executor:
             if is_due:
                 localizer.step()
 
-    def _others(self) -> None:
-        """The step of everyone but the simulator, for the tick that it has published."""
+    def _step_others(self) -> None:
+        """Do the step of every node but the simulator, for the tick that it has published."""
         if not self._ticked:
             raise RuntimeError("the simulator waits, but not for a step")
         if self._exposed is not None:
@@ -346,17 +347,23 @@ class Executor:
 def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
     """Run an experiment in this process, after `commands.check`. Folder, verdict and exit code are those of `launcher.run`."""
     launcher.write_experiment(experiment, run_dir)
-    hub = MemoryHub()
-    executor = Executor(experiment, run_dir, hub, poses=options.poses, pace=options.pace)
-    monitor = Monitor(experiment, Bus(MemoryTransport(hub)), options.pace)
-    stop.on_request(lambda: executor.stop.request(stop.interrupted))
     log_file, succeeded = run_dir / "run.mcap", False
     try:
-        with monitor.shown(console) as say:
-            print_address = partial(launcher.tell_page, options.page, console) if options.page is not None else lambda: None
-            succeeded = executor.fly(say, automatic=not options.manual, page=options.page, came_up=print_address)
+        succeeded = fly(experiment, run_dir, options, stop, console)
     except (ConfigError, Failed) as error:
         launcher.print_error(console, str(error))
         if isinstance(error, ConfigError) and not log_file.exists():
             return launcher.nothing_flown(run_dir, console)
     return launcher.conclude(run_dir, log_file.exists(), succeeded, stop, console)
+
+
+def fly(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> bool:
+    """Fly an experiment in this process into a folder that holds it. Returns whether the mission succeeded; raises as
+    `Executor.fly`."""
+    hub = MemoryHub()
+    executor = Executor(experiment, run_dir, hub, poses=options.poses, pace=options.pace)
+    monitor = Monitor(experiment, Bus(MemoryTransport(hub)), options.pace)
+    stop.on_request(lambda: executor.stop.request(stop.interrupted))
+    with monitor.shown(console) as say:
+        print_address = partial(launcher.tell_page, options.page, console) if options.page is not None else lambda: None
+        return executor.fly(say, automatic=not options.manual, page=options.page, came_up=print_address)

@@ -108,8 +108,8 @@ class DirectPlant(PlantRun):
 
     def _apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
-        changes = self.faults.at(self._flown_s)
-        self._blow(self.faults.gust_mps)
+        changes = self.faults.advance(self._flown_s)
+        self._set_gust(self.faults.gust_mps)
         for sensors, faults in zip(self._sensors, self.faults.imu if changes else (), strict=False):
             sensors.faults = faults
         return changes
@@ -222,7 +222,7 @@ class AgentFleet:
 
     def step(self) -> None:
         """Advance the plant by one control period, then make one control step of every robot."""
-        self._move()
+        self._advance_plant()
         self.now_ns += self.period_ns
         self.truth.append(self._water.eta.copy())
         plans = {r: robot.plan for r, robot in zip(self.experiment.robot_ids, self.robots, strict=True)}
@@ -239,18 +239,20 @@ class AgentFleet:
         reference = [_poses(self.trajectories[robot], time_s) for robot in self.experiment.robot_ids]
         return pose_error(truth, np.stack(reference, axis=1))
 
-    def _move(self) -> None:
-        """Advance the plant to the next control step, with the exposure that will be seen at it or later."""
-        before_ns = self._latency_ns % self.period_ns
+    def _advance_plant(self) -> None:
+        """Advance the plant by one control period, to the next control step. On the way the camera exposes one frame, so early
+        that with the camera's latency its poses arrive just in time for this step or a later one."""
+        exposure_lead_ns = self._latency_ns % self.period_ns
         end_ns = self._water.now_ns + self.period_ns
         if not self.held:
-            self._water.advance(end_ns - before_ns)
-        self.expose(self.now_ns + self.period_ns - before_ns)
+            self._water.advance(end_ns - exposure_lead_ns)
+        self.expose(self.now_ns + self.period_ns - exposure_lead_ns)
         if not self.held:
             self._water.advance(end_ns)
 
     def expose(self, stamp_ns: int) -> None:
-        """Localize every robot."""
+        """Localize every robot, and the obstacles, as the plant has them now. `stamp_ns`: the exposure by the agents'
+        clock."""
         self.poses.append((stamp_ns, self._localizer.poses(self._water.eta)))
         obstacles = self._localizer.obstacles(self._water.now_ns / NS, self._water.faults.balls)
         if obstacles is not None:
@@ -258,8 +260,8 @@ class AgentFleet:
 
     def control_step(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         """One control step of the i-th robot."""
-        robot, me, now_ns = self.robots[i], self.experiment.robot_ids[i], self.now_ns + self.ahead_ns[i]
-        has_radio = me not in self._water.faults.without_radio
+        robot, robot_id, now_ns = self.robots[i], self.experiment.robot_ids[i], self.now_ns + self.ahead_ns[i]
+        has_radio = robot_id not in self._water.faults.without_radio
         inputs = self._received(i, plans) if has_radio else self._remembered(i)
         inputs = replace(inputs, board=self._water.telemetry(i, now_ns))
         begin_ns = self._clock_ns()

@@ -1,4 +1,4 @@
-"""SHELL: `sim-bridge sil --from RUN --at S`: a numeric flight that continues from a moment of a recorded run.
+"""SHELL: `sim-bridge sil --from RUN --at S`: a numeric flight that continues from a moment of a recorded flight.
 
 Each agent replays the log up to the moment, so estimates, horizons and trajectories continue without a jump, also with
 other settings. The robots are put where they were. The plant knows their poses, velocities and last pulses; the rest of
@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from groundstation.analysis.alignment import chosen_flight
 from groundstation.fleet_time import SIMULATED_BELOW_NS
 from groundstation.formation_clock import FormationPlans
-from groundstation.logs.reader import LogFile, LogMessage, open_log, read_log
+from groundstation.logs.reader import LogFile, LogMessage, RunLog, open_log, read_log
 from robot_agent.agent import Agent
 from robot_agent.inputs import StampedPlan
 from shoal.config.experiment import Experiment, load_experiment
@@ -142,15 +143,64 @@ def _pulses(experiment: Experiment, histories: Sequence[RobotHistory]) -> list[A
     return [np.array(step) for step in zip(*map(of, histories), strict=True)]
 
 
-def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> tuple[Experiment, list[str]]:
+class Moment(NamedTuple):
+    """A moment of a recorded flight. Instants are the recorder's."""
+
+    at_s: float  # time along the trajectories, from which the resumed flight counts on
+    stamp_ns: int
+    arrived_ns: int  # when the recorder heard of it
+    until_ns: int  # end of its flight in the log
+
+    @property
+    def zero_ns(self) -> int:
+        """Instant of the log that is time 0 of the resumed flight."""
+        return self.stamp_ns - round(self.at_s * NS)
+
+
+def find_moment(source: Path, at_s: float, flight: int | None = None) -> Moment:
+    """The moment of a run at which a flight, the one that a report is about if none is named, was `at_s` along its
+    trajectories. Raises ConfigError if the run does not hold it."""
+    robots = load_experiment(str(source / "experiment.toml")).robot_ids
+    return moment_of(read_log(source / "run.mcap", (topics.STATE, topics.TRAJECTORY, topics.HEARTBEAT)), robots, at_s, flight)
+
+
+def moment_of(log: RunLog, robots: Sequence[int], at_s: float, flight: int | None = None) -> Moment:
+    """The moment of the first robot that was not lost before. Where that robot held there, or stood before it went on, the
+    last instant before it goes on."""
+    number, part = chosen_flight(log, robots, flight)
+    if part is None:
+        raise ConfigError("the log holds no flight")
+    reached_s = dict.fromkeys(robots, 0.0)
+    for robot in robots:
+        moment: Moment | None = None
+        for entry in log.of(topics.STATE, RobotState, robot):
+            if not part.begin_ns <= entry.stamp_ns < part.until_ns:
+                continue
+            state = entry.message
+            clock_s = FormationPlans().clock_s(state) if state.mode is Mode.TRACKING else None
+            if moment is not None and clock_s != moment.at_s:
+                return moment
+            if clock_s is not None and clock_s >= at_s:
+                moment = Moment(clock_s, entry.stamp_ns, entry.arrived_ns, part.until_ns)
+            reached_s[robot] = max(reached_s[robot], clock_s or 0.0)
+        if moment is not None:
+            return moment
+    furthest = max(robots, key=lambda robot: reached_s[robot])
+    came_to = f"robot {furthest} came to {reached_s[furthest]:.2f} s"
+    raise ConfigError(f"flight {number}: at {at_s:g} s there is nothing: {came_to}")
+
+
+def load_changed(
+    run: Path, moment: Moment, settings: Sequence[str], more_faults: Sequence[str]
+) -> tuple[Experiment, list[str]]:
     """The experiment of a run with the changes, and remarks about the faults that are left out. Raises ConfigError.
 
-    Faults that a person made during the run are made again. A fault of a camera or a board is left out: a flight that is
-    resumed from a logged moment has neither. The last remark is the command that has all of them.
+    Faults that a person made up to the flight's end are made again. A fault of a camera or a board is left out: a flight that
+    is resumed from a logged moment has neither. The last remark is the command that has all of them.
     """
     file, absent = run / "experiment.toml", "from a logged moment on there is none"
     faults, left_out = list[str](), list[str]()
-    made_by_hand = faults_by_hand(run)
+    made_by_hand = faults_by_hand(run, moment)
     for what, fault in made_by_hand:
         (faults if fault_schedule.is_among(read_what(what), fault_schedule.NUMERIC) else left_out).append(fault)
     experiment = load_experiment(str(file), settings, [*faults, *more_faults])
@@ -165,75 +215,57 @@ def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str])
 
 
 class _FaultByHand(NamedTuple):
-    """A fault that a person made."""
+    """A fault that a person made, in s of the resumed flight's time."""
 
     what: str
     at_s: float
-    for_s: float
-
-    def mended(self, now_s: float) -> "_FaultByHand":
-        """The same, over at an instant if not before."""
-        return self._replace(for_s=min(self.for_s, max(now_s - self.at_s, 0.001)))
+    over_s: float
 
     def __str__(self) -> str:
-        """The fault as --fault takes it."""
-        during = f" for={self.for_s:.10g}" if math.isfinite(self.for_s) else ""
-        return f"t={self.at_s:.3f}{during} {self.what}"
+        """The fault as --fault takes it; one that was made before time 0 holds from there on."""
+        at_s = max(self.at_s, 0.0)
+        during = f" for={round(max(self.over_s - at_s, 0.001), 3):.10g}" if math.isfinite(self.over_s) else ""
+        return f"t={at_s:.3f}{during} {self.what}"
 
 
-def faults_by_hand(run: Path) -> list[tuple[str, str]]:
-    """Faults that a person made in a recorded run: what broke, and the whole as --fault takes it."""
+def faults_by_hand(run: Path, moment: Moment) -> list[tuple[str, str]]:
+    """Faults that a person made in a recorded run before the end of the moment's flight, without those that were over before
+    its time 0: what broke, and the whole as --fault takes it. Their times are their lines' stamps: what a line reads counts
+    from the flight that was the newest then, and a hold lies between."""
     faults: list[_FaultByHand] = []
     for entry in read_log(run / "run.mcap", (topics.EVENT,)).of(topics.EVENT, Event):
-        line = entry.message.message
-        for part in line.removeprefix(BY_HAND).split("; ") if line.startswith(BY_HAND) else ():
-            if (made := re.fullmatch(r"t=(\S+)(?: for=(\S+))? (.+)", part)) is not None:
-                faults.append(_FaultByHand(made[3], float(made[1]), float(made[2] or math.inf)))
-            elif (mended := re.fullmatch(r"mended at (\S+) s: (.+)", part)) is not None:
-                faults = [fault.mended(float(mended[1])) if fault.what == mended[2] else fault for fault in faults]
-    return [(fault.what, str(fault)) for fault in faults]
+        line, time_s = entry.message.message, (entry.stamp_ns - moment.zero_ns) / NS
+        for part in (
+            line.removeprefix(BY_HAND).split("; ") if line.startswith(BY_HAND) and entry.stamp_ns < moment.until_ns else ()
+        ):
+            if (made := re.fullmatch(r"(?:t=\S+|before the start)(?: for=(\S+))? (.+)", part)) is not None:
+                faults.append(_FaultByHand(made[2], time_s, time_s + float(made[1] or math.inf)))
+            elif (mended := re.fullmatch(r"mended at \S+ s: (.+)", part)) is not None:
+                faults = [f._replace(over_s=min(f.over_s, time_s)) if f.what == mended[1] else f for f in faults]
+    return [(fault.what, str(fault)) for fault in faults if fault.over_s > 0.0]
 
 
-def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:
-    """Fleet and plant as they were `at_s` along the trajectories of the run in `source`. Raises ConfigError, and leaves no
-    files behind, if the run does not hold that moment."""
-    histories = [_read_history(experiment, source, at_s, robot) for robot in experiment.robot_ids]
+def prepared(experiment: Experiment, source: Path, moment: Moment) -> tuple[AgentFleet, DirectPlant]:
+    """Fleet and plant as they were at a moment of the run in `source`. Raises ConfigError, and leaves no files behind, if the
+    robots were not under way then, or nothing would be left to fly."""
+    if moment.at_s >= experiment.duration_s:
+        end_s = f"duration_s = {experiment.duration_s:g}"
+        raise ConfigError(f"--at: the moment is at {moment.at_s:g} s, and the flight ends there or before ({end_s})")
+    histories = [_read_history(experiment, source, moment, robot) for robot in experiment.robot_ids]
     return resume(experiment, histories, experiment.seed, time.perf_counter_ns)
 
 
-def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int) -> RobotHistory:
+def _read_history(experiment: Experiment, source: Path, moment: Moment, robot: int) -> RobotHistory:
     with open_log(source) as log:
-        return replay_history(experiment, robot, lines_until(log, experiment.robot_ids, at_s, robot))
+        return replay_history(experiment, robot, lines_until(log, moment, robot))
 
 
-def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) -> Iterator[LogMessage]:
-    """A robot's inputs, commands and states up to a moment, and the truth around it. The moment is when the first of `robots`
-    to come so far was `at_s` along its trajectory. Raises ConfigError if there is none."""
-    moment_ns = _moment_ns(log, robots, at_s)
+def lines_until(log: LogFile, moment: Moment, robot: int) -> Iterator[LogMessage]:
+    """A robot's inputs, commands and states up to a moment, and the truth around it. Raises ConfigError if there are none."""
     own = own_messages(log, robot, with_states=True)
-    state_lines = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
+    state_lines = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment.arrived_ns]
     if not state_lines or not any(line.topic is topics.INPUTS for line in own):
-        raise ConfigError(f"{log.path}: holds no inputs of robot {robot} before {at_s:g} s")
+        raise ConfigError(f"{log.path}: holds no inputs of robot {robot} before {moment.at_s:g} s")
     yield from in_order_of_use(log, robot, own[: state_lines[-1] + 1])
-    begin_ns, end_ns = max(moment_ns - AROUND_NS, log.start_ns), moment_ns + AROUND_NS
+    begin_ns, end_ns = max(moment.arrived_ns - AROUND_NS, log.start_ns), moment.arrived_ns + AROUND_NS
     yield from log.messages(lambda topic, _: topic is topics.TRUTH, begin_ns, end_ns + 1)
-
-
-def _moment_ns(log: LogFile, robots: Sequence[int], at_s: float) -> int:
-    """Instant at which the recorder heard of the progress with the formation, of the first robot that was not lost before.
-    Where that robot held there, or stood before it went on, the last instant before it goes on."""
-    reached_s = dict.fromkeys(robots, 0.0)
-    for robot in robots:
-        moment: tuple[int, float] | None = None
-        for line in log.messages(lambda topic, of, robot=robot: topic is topics.STATE and of == robot):  # type: ignore[misc]
-            state = decode(RobotState, line.payload, "log", line.topic.name)
-            clock_s = FormationPlans().clock_s(state) if state.mode is Mode.TRACKING else None
-            if moment is not None and clock_s != moment[1]:
-                return moment[0]
-            if clock_s is not None and clock_s >= at_s:
-                moment = line.arrived_ns, clock_s
-            reached_s[robot] = max(reached_s[robot], clock_s or 0.0)
-        if moment is not None:
-            return moment[0]
-    furthest = max(robots, key=lambda robot: reached_s[robot])
-    raise ConfigError(f"{log.path}: at {at_s:g} s there is nothing: robot {furthest} came to {reached_s[furthest]:.2f} s")

@@ -27,7 +27,7 @@ def agent_in_lockstep(
 
 
 class AgentPace:
-    """The ticks of one robot."""
+    """Times of one robot's control steps: one for each tick that names the robot, once the tick's inputs are here."""
 
     def __init__(self, node: AgentNode, robot: int, bus: Bus, clock: LockstepClock) -> None:
         self._node, self._robot = node, robot
@@ -36,7 +36,9 @@ class AgentPace:
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
 
     def __iter__(self) -> Iterator[StepTime]:
-        # Greeted until the first tick and not after: what reaches the board must not depend on how long a tick takes.
+        """Yield the time of each step, until told to stop."""
+        # The node sends heartbeats to its board only while it waits for the first tick: later the number of frames on the
+        # board's link would depend on how long a tick takes.
         tick = self._lockstep.next(meanwhile=self._node.greet)
         while tick is not None and (instant := self._await_inputs(tick)) is not None:
             yield instant

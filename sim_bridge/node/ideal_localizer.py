@@ -33,9 +33,10 @@ class IdealLocalizer:
         return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in measured_eta.tolist()]
 
     def obstacles(self, time_s: float, dropped: Sequence[Drifter] = ()) -> Obstacles | None:
-        """The drifting balls as the localizer reports obstacles; None if the experiment has none and asks for no
-        detection."""
-        if not (self._drifters or self._watches or dropped):
+        """The drifting balls as the localizer reports obstacles; None if the experiment has none and asks for no detection,
+        until the first is `dropped`. From then on there is a list, if an empty one: robots remember what a list held last."""
+        self._watches = self._watches or bool(dropped)
+        if not (self._drifters or self._watches):
             return None
         balls = (*self._drifters, *dropped)
         noise = self._obstacle_random.standard_normal((len(balls), 4)) * self._obstacle_noise

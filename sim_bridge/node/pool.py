@@ -14,14 +14,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
 from shoal.config.fault_injection import BY_HAND
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
-from shoal.messages.messages import CameraHealth, FaultRequest, Frame, LocalizerStatus, RobotState, Tick, Trajectory
+from shoal.messages.messages import (
+    CameraHealth,
+    FaultRequest,
+    Frame,
+    LocalizerStatus,
+    StationHeartbeat,
+    Tick,
+    Trajectory,
+)
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
 from shoal.runtime.version import code
@@ -54,7 +61,9 @@ class PoolNode:
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = sockets
-        self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
+        self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+        self._began_ns = 0  # of the newest flight, on the station's clock,
+        self._start_ns: int | None = None  # and on ours
         self._requests: deque[FaultRequest] = deque()  # of people, not applied yet
         self._localizer = IdealLocalizer(experiment, experiment.seed) if poses else None
         names = () if poses else experiment.camera_names or ("",)
@@ -146,17 +155,15 @@ class PoolNode:
         else:
             self._requests.append(request)
 
-    def _detect_start(self, world: World, begin_ns: int) -> None:
-        """Find the instant at which the formation's trajectories began, from which faults count. A robot that is sent
-        somewhere alone begins none. Plant time 0 is `begin_ns`."""
-        if world.start_ns is not None:
-            return
-        for inbox in self._states.values():
-            received = inbox.newest()
-            flown_s = FormationPlans().clock_s(received.message) if received is not None else None
-            if received is not None and flown_s:
-                world.start_ns = self._clock.instant_ns(received) - round(flown_s * 1e9) - begin_ns
-                return
+    def _note_start(self, world: World, begin_ns: int) -> None:
+        """Note the instant at which the newest flight of the formation begins, from which faults count: the station reports
+        it. Plant time 0 is `begin_ns`, which is a later instant after the plant has lost time."""
+        received = self._heartbeat.newest()
+        if received is not None and received.message.began_ns not in (0, self._began_ns):
+            self._began_ns = received.message.began_ns
+            self._start_ns = self._clock.instant_ns(received) - (received.header.stamp_ns - self._began_ns)
+        if self._start_ns is not None:
+            world.start_ns = self._start_ns - begin_ns
 
     # --- by the wall clock
 
@@ -171,7 +178,7 @@ class PoolNode:
                 self._sockets.exchange(world)
                 self._step_plant(world)
                 if world.exposed:
-                    self._detect_start(world, begin_ns)
+                    self._note_start(world, begin_ns)
                     self._expose(world, begin_ns, exposures)
                 # The next step only when its time has come, however much arrives until then: else the water would run ahead.
                 while (ahead_s := (begin_ns + world.now_ns - self._clock.now_ns()) * 1e-9) > 0 and not self._stop.requested:
@@ -323,25 +330,22 @@ class PoolNode:
         """Robots whose agents are present."""
         return tuple(r for r in self._experiment.robot_ids if f"agent-{r}" in self._bus.present)
 
-    def _await_states(self, world: World, robots: tuple[int, ...], stamp_ns: int) -> None:
-        """Wait for every robot's last state until the start is known: otherwise the start would depend on chance."""
-        if not self._states or world.start_ns is not None or stamp_ns < 0:
-            return
+    def _await_heartbeat(self, stamp_ns: int) -> None:
+        """Wait for the station's heartbeat of a step: otherwise it would depend on chance when a start is noted."""
 
         def here() -> bool:
-            awaited = [robot for robot in robots if robot not in self._no_radio and f"agent-{robot}" in self._bus.present]
-            headers = [self._states[robot].newest_header() for robot in awaited]
-            return all(header is not None and header.stamp_ns >= stamp_ns for header in headers)
+            header = self._heartbeat.newest_header()
+            return "groundstation" not in self._bus.present or (header is not None and header.stamp_ns >= stamp_ns)
 
-        while not (wait(self._bus, self._stop, here, LOCKSTEP_SAYS_S) or self._stop.requested):
-            log.warning("lockstep: waiting for the robots' states of %.3f s", stamp_ns * 1e-9)
-        self._detect_start(world, 0)
+        while not (stamp_ns < 0 or wait(self._bus, self._stop, here, LOCKSTEP_SAYS_S) or self._stop.requested):
+            log.warning("lockstep: waiting for the station's heartbeat of %.3f s", stamp_ns * 1e-9)
 
     def _tick(self, world: World, tick_ns: int, previous_ns: int) -> None:
         """Stop time until every robot that is present has sent its pulses for this step."""
         robots = self._present_robots
         indices = [self._experiment.robot_ids.index(r) for r in robots]
-        self._await_states(world, robots, previous_ns)
+        self._await_heartbeat(previous_ns)
+        self._note_start(world, 0)
         before = [self._sockets.commands[i] for i in indices]
         board_ms = tuple(self._sockets.burst_ms[i] for i in indices)
         unheard, self._no_radio = self._no_radio, tuple(sorted(world.faults.without_radio))

@@ -22,8 +22,8 @@ from sim_bridge.plant.motion import FleetVariables, Parts, Span, StateTables, ac
 from sim_bridge.plant.rigid_body import hull_of
 from sim_bridge.plant.robot_state import HEAVE, STATES, SURGE, SWAY, TURN, LevelMotion
 
-FORCES = (0, 2, 5, 1)  # surge, heave, yaw and sway of the thrusters' six forces and moments: the order of a wrench
-FORCE_AXES = (SURGE, HEAVE, TURN, SWAY)  # the axes of a wrench
+WRENCH_IN_SIX = (0, 2, 5, 1)  # indices of a wrench's surge, heave, yaw and sway in (Fx, Fy, Fz, Mx, My, Mz)
+WRENCH_AXES = (SURGE, HEAVE, TURN, SWAY)  # indices of a wrench's axes in nu
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,28 +100,28 @@ class Plant:
         )
 
     def with_past_pulses(self, state: PlantState, i: int, pulses_us: Array, steps: int) -> PlantState:
-        """The state as if pulses (8,) had been on the i-th board's outputs for the last `steps` already. What has acted before
-        their dead time was over stays."""
+        """The state as if pulses (8,) had been on the i-th board's outputs for the last `steps` already. Forces stay: only
+        what is still within the thrusters' dead time changes."""
         history = state.motors.pulses_us.copy()
         history[:steps, i] = pulses_us
         return replace(state, motors=replace(state.motors, pulses_us=history))
 
     def _accelerations(self, state: PlantState) -> tuple[Array, Array]:
-        """d nu / dt now, (n, 4), and the thrusters' forces and moments (n, 6)."""
+        """d nu / dt now, (n, 4), and the thrusters' forces and moments (n, 6) in N and N m, on body axes."""
         force_n, ankle_rad = state.motors.force_n, state.motors.ankle_rad
-        still = Motors(force_n, ankle_rad, force_n, ankle_rad)  # they stay where they are
-        fleet = FleetVariables(LevelMotion(state.eta, state.nu, state.tilt), still, state.charge)
-        acceleration, wrench = np.empty_like(state.nu), np.empty((len(state.nu), 6))
-        accelerations(fleet, self.time_s(state), self._parts, self._tables, acceleration, wrench)
-        return acceleration, wrench
+        motors = Motors(force_n, ankle_rad, force_n, ankle_rad)  # they stay where they are
+        fleet = FleetVariables(LevelMotion(state.eta, state.nu, state.tilt), motors, state.charge)
+        acceleration, forces_moments = np.empty_like(state.nu), np.empty((len(state.nu), 6))
+        accelerations(fleet, self.time_s(state), self._parts, self._tables, acceleration, forces_moments)
+        return acceleration, forces_moments
 
     def acceleration(self, state: PlantState) -> Array:
         """d nu / dt now, (n, 4)."""
         return self._accelerations(state)[0]
 
-    def stream(self, current_mps: Array) -> None:
-        """Let the water stream at another current (3,) at the surface from now on."""
-        self._flow.stream(current_mps)
+    def set_current(self, current_mps: Array) -> None:
+        """Change the current (3,) at the surface from now on."""
+        self._flow.set_current(current_mps)
         self._parts = self._constants()
 
     def touching(self, state: PlantState) -> list[int]:
@@ -137,9 +137,10 @@ class Plant:
         return self._supply.rest_v(state.charge) - (faults or self.no_faults).sag_v
 
     def truth(self, state: PlantState) -> Truth:
-        """The true state, wrench and lumped disturbance, for the log; no controller may read it."""
-        acceleration, six = self._accelerations(state)
-        wrench = six[:, FORCES[: len(self._nominal.limits.wrench)]]
+        """The true state, wrench (n, 3) or (n, 4), and lumped disturbance (n, 4): the acceleration that the vehicle file's
+        model does not explain. For the log; no controller may read it."""
+        acceleration, forces_moments = self._accelerations(state)
+        wrench = forces_moments[:, WRENCH_IN_SIX[: len(self._nominal.limits.wrench)]]
         expected = nominal_acceleration(self._nominal, state.nu, wrench, self._sway)
         return Truth(self._robots, state.eta.copy(), state.nu.copy(), wrench, acceleration - expected)
 
@@ -182,18 +183,18 @@ class PlantRun:
         """True if a robot touches a wall, the floor, an island or another robot."""
         return bool(self._plant.touching(self._state))
 
-    def _blow(self, gust_mps: float) -> None:
-        """Let the water move by so much along x besides its current, from now on."""
+    def _set_gust(self, gust_mps: float) -> None:
+        """Add a gust along x to the experiment's current, in place of the last gust, from now on."""
         if gust_mps != self._gust_mps:
             self._gust_mps = gust_mps
-            self._plant.stream(self._current_mps + np.array([gust_mps, 0.0, 0.0]))
+            self._plant.set_current(self._current_mps + np.array([gust_mps, 0.0, 0.0]))
 
 
 def nominal_acceleration(vehicle: Vehicle, nu: Array, wrench: Array, sway: bool) -> Array:
     """d/dt (n, 4) of the velocities nu by the vehicle file's numbers, in still water: each axis has its own drag, and of
     Coriolis terms m_v v r on surge and -m_u u r on sway. `wrench` (n, 3) is surge, heave, yaw; (n, 4) with sway."""
     force = -(vehicle.drag_linear + vehicle.drag_quadratic * np.abs(nu)) * nu
-    force[:, FORCE_AXES[: wrench.shape[1]]] += wrench
+    force[:, WRENCH_AXES[: wrench.shape[1]]] += wrench
     if sway:
         force[:, SURGE] += vehicle.inertia[SWAY] * nu[:, SWAY] * nu[:, TURN]
         force[:, SWAY] -= vehicle.inertia[SURGE] * nu[:, SURGE] * nu[:, TURN]

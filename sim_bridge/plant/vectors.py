@@ -66,7 +66,7 @@ def subtract(a: Vector, b: Vector) -> Vector:
 
 @kernel(inline=True, part=True)
 def scale(factor: float, a: Vector) -> Vector:
-    """factor a."""
+    """factor * a."""
     return Vector(factor * a.x, factor * a.y, factor * a.z)
 
 
@@ -84,7 +84,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @kernel(inline=True, part=True)
 def rotation(roll: float, pitch: float, yaw: float) -> Rotation:
-    """The rotation by three angles."""
+    """The rotation R by roll, pitch and yaw in rad."""
     return Rotation(math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch), math.sin(yaw), math.cos(yaw))
 
 
@@ -98,7 +98,7 @@ def to_level(turn: Rotation, v: Vector) -> Vector:
 
 @kernel(inline=True, part=True)
 def from_level(turn: Rotation, v: Vector) -> Vector:
-    """The inverse of `to_level`."""
+    """The inverse of `to_level`: from level axes to the body's."""
     ahead = turn.cos_pitch * v.x - turn.sin_pitch * v.z
     down = turn.sin_pitch * v.x + turn.cos_pitch * v.z
     return Vector(ahead, turn.cos_roll * v.y + turn.sin_roll * down, turn.cos_roll * down - turn.sin_roll * v.y)
@@ -121,7 +121,7 @@ def to_body(turn: Rotation, v: Vector) -> Vector:
 
 @kernel(inline=True, part=True)
 def angle_rates(turn: Rotation, omega: Vector) -> Vector:
-    """d/dt of roll, pitch and yaw at an angular velocity on the body's axes (Fossen 2021, eq. 2.31)."""
+    """Rates d/dt of roll, pitch and yaw at an angular velocity p, q, r on the body's axes (Fossen 2021, eq. 2.31)."""
     yaw_rate = (turn.sin_roll * omega.y + turn.cos_roll * omega.z) / turn.cos_pitch
     pitch_rate = turn.cos_roll * omega.y - turn.sin_roll * omega.z
     return Vector(omega.x + turn.sin_pitch * yaw_rate, pitch_rate, yaw_rate)
@@ -129,10 +129,10 @@ def angle_rates(turn: Rotation, omega: Vector) -> Vector:
 
 @kernel(inline=True, part=True)
 def angular_velocity(turn: Rotation, rates: Vector) -> Vector:
-    """The inverse of `angle_rates`."""
-    about_z = turn.cos_pitch * rates.z
+    """Angular velocity p, q, r on the body's axes at rates d/dt of roll, pitch and yaw: the inverse of `angle_rates`."""
+    level_yaw_rate = turn.cos_pitch * rates.z
     return Vector(
         rates.x - turn.sin_pitch * rates.z,
-        turn.cos_roll * rates.y + turn.sin_roll * about_z,
-        turn.cos_roll * about_z - turn.sin_roll * rates.y,
+        turn.cos_roll * rates.y + turn.sin_roll * level_yaw_rate,
+        turn.cos_roll * level_yaw_rate - turn.sin_roll * rates.y,
     )

@@ -99,14 +99,14 @@ class Rerun:
             self._obey(*self._commands.popleft())
         plans: dict[int, Plan] = {}
         for robot, session, sequence in zip(record.plan_robots, record.plan_sessions, record.plan_sequences, strict=True):
-            plan = self._named(topics.PLAN, robot, session, sequence)
+            plan = self._find_message(topics.PLAN, robot, session, sequence)
             if plan is None:
                 yield self._missing(f"plan {sequence} of robot {robot} is not in the log", now_ns)
             else:
                 plans[robot] = plan
         obstacles: Obstacles | None = None
         if record.obstacles_session:
-            obstacles = self._named(topics.OBSTACLES, 0, record.obstacles_session, record.obstacles_sequence)
+            obstacles = self._find_message(topics.OBSTACLES, 0, record.obstacles_session, record.obstacles_sequence)
             if obstacles is None:
                 yield self._missing(f"obstacles {record.obstacles_sequence} are not in the log", now_ns)
         outputs = self.agent.step(inputs_of(record, plans, obstacles, now_ns), now_ns)
@@ -118,25 +118,28 @@ class Rerun:
         """Give the agent a command that it was given in the run."""
         if record.command is None:
             return
-        # Another experiment has another hash: a rerun with other settings is asked for on purpose.
-        named_ours = record.reply is None or "is for experiment" not in record.reply.reason
-        command = replace(record.command, experiment_hash=self._experiment.hash) if named_ours else record.command
+        # A rerun with other settings has another hash on purpose: only a command that was refused for its hash keeps it.
+        had_our_hash = record.reply is None or "is for experiment" not in record.reply.reason
+        command = replace(record.command, experiment_hash=self._experiment.hash) if had_our_hash else record.command
         header = Header(record.command_session, record.command_sequence, record.command_stamp_ns)
         self.agent.handle_command(header, command, station_view(record, now_ns), now_ns)
 
-    def _named(self, topic: Topic, robot: int, session: int, sequence: int) -> Any:
+    def _find_message(self, topic: Topic, robot: int, session: int, sequence: int) -> Any:
+        """The message that a step record names by its sender's session and sequence number; None if the log has none."""
         for kept in reversed(self._kept.get((topic, robot), ())):
             if (kept.session, kept.sequence) == (session, sequence):
                 return kept.message
         return None
 
     def _missing(self, what: str, now_ns: int) -> Again:
+        """An event that says what a step needed and the log does not hold."""
         return topics.EVENT, Event(WARNING, f"agent-{self._robot}", what), now_ns
 
 
 def _check_columns(message: Any) -> None:
-    """Raise DecodeError for a step whose columns about plans differ in length."""
+    """Raise DecodeError for a step record whose four columns about plans differ in length. Other messages pass."""
     if isinstance(message, StepInputs):
-        named = (message.plan_sessions, message.plan_sequences, message.plan_instants_ns)
-        if any(len(column) != len(message.plan_robots) for column in named):
-            raise DecodeError("log", topics.INPUTS.name, "plan_robots", "not as many as what is said of them")
+        columns = (message.plan_sessions, message.plan_sequences, message.plan_instants_ns)
+        if any(len(column) != len(message.plan_robots) for column in columns):
+            text = "not as many as plan_sessions, plan_sequences or plan_instants_ns"
+            raise DecodeError("log", topics.INPUTS.name, "plan_robots", text)

@@ -21,12 +21,12 @@ from shoal.messages.messages import Event, Plan, RobotState
 from shoal.messages.schema import nested_message
 from shoal.messages.topics import Topic
 
-# By the robot's program, not by its agent.
+# Measured by the robot's program, not computed by its agent: no step can repeat them.
 TIMES = ("step_us", "exposure_to_pwm_ms", "missed_deadlines", "board_round_trip_ms", "board_clock_offset_s")
 MEASURED = frozenset({"code", *(f"timing.{name}" for name in TIMES)})
-NAMED_SO = frozenset({"experiment_hash"})  # differs with any other experiment
+EXPERIMENT_HASH = frozenset({"experiment_hash"})  # differs with any other experiment
 ANGLES = {"estimate.eta": 3, "control.eta_reference": 3, "control.eta_command": 3}  # columns that are angles
-MOST_GAPS = 5  # told one by one
+MOST_GAPS = 5  # listed one by one
 DRAWN = ("control.wrench", "control.eta_command", "estimate.nu", "estimate.disturbance")
 
 
@@ -70,7 +70,7 @@ class StepComparison:
 
 @dataclass
 class StepOutputs:
-    """States and plans by their stamps, and what was said about gaps."""
+    """A robot's states and plans by their stamps, as encoded, and events about steps that could not be repeated."""
 
     states: dict[int, bytes] = field(default_factory=dict)
     plans: dict[int, bytes] = field(default_factory=dict)
@@ -85,32 +85,41 @@ class StepOutputs:
 
 
 def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment: bool) -> StepComparison:
-    """Compare recorded with repeated outputs. Only in the same experiment its name must be the same."""
+    """Compare the recorded outputs `before` with the repeated ones `after`, at the stamps that both have.
+
+    `same_experiment` is False for a rerun with changed settings: its hash then differs on purpose, and is not compared.
+    """
     stamps = sorted(before.states.keys() & after.states.keys())
-    was = [decode(RobotState, before.states[stamp], "log", "state") for stamp in stamps]
-    would = [decode(RobotState, after.states[stamp], "rerun", "state") for stamp in stamps]
-    time_s: Array = (np.array(stamps, dtype=np.int64) - _start_ns(stamps, was)).astype(np.float64) * 1e-9
-    lost = [
-        stamp for stamp, state in zip(stamps, was, strict=True) if state.estimate is not None and stamp not in before.plans
+    recorded = [decode(RobotState, before.states[stamp], "log", "state") for stamp in stamps]
+    repeated = [decode(RobotState, after.states[stamp], "rerun", "state") for stamp in stamps]
+    time_s: Array = (np.array(stamps, dtype=np.int64) - _start_ns(stamps, recorded)).astype(np.float64) * 1e-9
+    # A robot with an estimate has sent a plan: where the log has none, it was lost on the way to the recorder.
+    lost_plans = [
+        stamp
+        for stamp, state in zip(stamps, recorded, strict=True)
+        if state.estimate is not None and stamp not in before.plans
     ]
-    unlogged = [f"the plan of robot {robot} at {s:.2f} s is not in the log" for s in time_s[np.isin(stamps, lost)].tolist()]
-    left_out = MEASURED if same_experiment else MEASURED | NAMED_SO
-    names = [name for name in _paths(RobotState) if name not in left_out]
-    columns = {name: ([_value(s, name) for s in was], [_value(s, name) for s in would]) for name in names}
-    columns |= _plan_columns(before, after, stamps, frozenset(lost))
-    differing, differences = np.zeros(len(stamps), dtype=bool), []
+    lost_at_s = time_s[np.isin(stamps, lost_plans)].tolist()
+    unlogged = [f"the plan of robot {robot} at {s:.2f} s is not in the log" for s in lost_at_s]
+    if missing := len(after.states) - len(stamps):
+        unlogged.append(f"{missing} states of robot {robot} are not in the log: it had no radio, or they were lost")
+    ignored = MEASURED if same_experiment else MEASURED | EXPERIMENT_HASH
+    names = [name for name in _paths(RobotState) if name not in ignored]
+    columns = {name: ([_value(s, name) for s in recorded], [_value(s, name) for s in repeated]) for name in names}
+    columns |= _plan_columns(before, after, stamps, frozenset(lost_plans))
+    any_differs, differences = np.zeros(len(stamps), dtype=bool), []
     for name, (old, new) in columns.items():
         differs = np.array([not _same(a, b) for a, b in zip(old, new, strict=True)], dtype=bool)
         if differs.any():
             differences.append(_difference(name, old, new, differs, time_s))
-        differing |= differs
+        any_differs |= differs
     return StepComparison(
         robot=robot,
         steps=len(after.states),
         compared=len(stamps),
-        differing=int(differing.sum()),
+        differing=int(any_differs.sum()),
         differences=tuple(differences),
-        left_out=_gaps([*after.gaps, *unlogged]),
+        left_out=_shortened([*after.gaps, *unlogged]),
         time_s=time_s,
         before={name: _rows(columns[name][0]) for name in DRAWN},
         after={name: _rows(columns[name][1]) for name in DRAWN},
@@ -164,7 +173,8 @@ def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
 def _plan_columns(
     before: StepOutputs, after: StepOutputs, stamps: Sequence[int], lost: frozenset[int]
 ) -> dict[str, tuple[list[Any], list[Any]]]:
-    """The plans' fields at each step; None where there was no plan, or where the log has `lost` it: that is no difference."""
+    """By field of a plan: its values at each step, recorded and repeated. None on both sides where the log has `lost` the
+    plan, which is no difference; None where there was no plan."""
 
     def read(outputs: StepOutputs) -> list[Plan | None]:
         payloads = (None if stamp in lost else outputs.plans.get(stamp) for stamp in stamps)
@@ -183,7 +193,8 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _difference(name: str, old: Sequence[Any], new: Sequence[Any], differs: Array, time_s: Array) -> Difference:
-    """The difference of one value between two runs: where it begins, its largest and its RMS."""
+    """Summarise how one field differs at the steps (steps,) where `differs`: first time, largest change, and RMS of the worst
+    column. Changes are None for a field that is no number or changes its size."""
     steps, first_s = int(differs.sum()), float(time_s[np.flatnonzero(differs)[0]])
     old_rows, new_rows = list[Array](), list[Array]()
     for old_value, new_value in zip(old, new, strict=True):
@@ -194,11 +205,11 @@ def _difference(name: str, old: Sequence[Any], new: Sequence[Any], differs: Arra
     shapes = {row.shape for row in (*old_rows, *new_rows)}
     if len(shapes) != 1:
         return Difference(name, steps, first_s, None, None)
-    apart = np.array(new_rows) - np.array(old_rows)
+    change = np.array(new_rows) - np.array(old_rows)
     if name in ANGLES:
-        apart[:, ANGLES[name]] = wrap_angle(apart[:, ANGLES[name]])
-    rms = float(np.sqrt((apart**2).mean(axis=0)).max())
-    return Difference(name, steps, first_s, float(np.abs(apart).max()), rms)
+        change[:, ANGLES[name]] = wrap_angle(change[:, ANGLES[name]])
+    rms = float(np.sqrt((change**2).mean(axis=0)).max())
+    return Difference(name, steps, first_s, float(np.abs(change).max()), rms)
 
 
 def _row(value: Any) -> Array | None:
@@ -218,6 +229,7 @@ def _rows(values: Sequence[Array | None]) -> Array:
     return np.array([np.full(width, np.nan) if value is None else value for value in values]).reshape(-1, width)
 
 
-def _gaps(gaps: Sequence[str]) -> tuple[str, ...]:
+def _shortened(gaps: Sequence[str]) -> tuple[str, ...]:
+    """The first MOST_GAPS gaps, and the number of the others."""
     more = len(gaps) - MOST_GAPS
     return (*gaps[:MOST_GAPS], f"and {more} more") if more > 0 else tuple(gaps)

@@ -58,6 +58,7 @@ def _output(page: subprocess.Popen[bytes]) -> bytes | None:
 
 
 def _experiment(text: str) -> Experiment:
+    """Load an experiment from its text."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
         file.write_text(text, encoding="utf-8")

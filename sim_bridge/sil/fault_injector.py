@@ -20,28 +20,31 @@ class ProcessFaultInjector:
     """The timeline's faults of processes, applied to the children of one run."""
 
     def __init__(self, experiment: Experiment, children: Children, bus: Bus) -> None:
-        self._waiting = [fault for fault in experiment.sim.faults if fault.broken.kind in OF_PROCESSES]
+        self._faults = [fault for fault in experiment.sim.faults if fault.broken.kind in OF_PROCESSES]
+        self._waiting: list[Fault] = []  # faults of this flight that are to come
         self._broken: list[Fault] = []  # faults that hold now
         self._children, self._bus, self._clock = children, bus, WallClock()
-        self._start_s: float | None = None
+        self._began_ns, self._start_s = 0, 0.0  # of the newest flight: on the station's clock, and the monotonic one
         self.killed: set[str] = set()  # processes whose end is intended
 
-    def act(self, flown_s: float) -> None:
-        """Apply and undo the faults that are due. The first `flown_s` above zero, along the trajectories, starts the
-        timeline; it then runs by the monotonic clock."""
+    def act(self, began_ns: int, time_s: float | None) -> None:
+        """Apply and undo the faults that are due. A flight that began, or will begin, at `began_ns` on the station's clock,
+        `time_s` ago, starts the timeline anew; it then runs by the monotonic clock, as the station may be what breaks."""
         now_s = time.monotonic()
-        if self._start_s is None and flown_s > 0.0:
-            self._start_s = now_s - flown_s
-        if self._start_s is None:
+        if time_s is not None and began_ns not in (0, self._began_ns):
+            self._began_ns, self._start_s = began_ns, now_s - time_s
+            self._waiting = [fault for fault in self._faults if fault.broken.process not in self.killed]
+        if not self._began_ns:
             return
         time_s = now_s - self._start_s
+        for fault in [f for f in self._broken if not f.holds(time_s) and f.broken.effect != "killed"]:
+            self._broken.remove(fault)
+            self._act(fault, undo=True)
+        self._waiting = [fault for fault in self._waiting if fault not in self._broken]
         for fault in [f for f in self._waiting if f.at_s <= time_s]:
             self._waiting.remove(fault)
             self._broken.append(fault)
             self._act(fault, undo=False)
-        for fault in [f for f in self._broken if not f.holds(time_s)]:
-            self._broken.remove(fault)
-            self._act(fault, undo=True)
 
     def _act(self, fault: Fault, undo: bool) -> None:
         """Begin a fault, or undo it, and say so. While another of its kind lasts, undoing goes back to that one."""

@@ -240,7 +240,7 @@ def _watch(
     heartbeats = 0
     with monitor.shown(console) as say:
         while station.exit_code is None and not stop.requested:
-            injector.act(monitor.flown_s)
+            injector.act(monitor.began_ns, monitor.time_s)
             for child in children.ended():
                 if child.name not in problems and child is not station and child.name not in injector.killed:
                     problems[child.name] = child.explain()

@@ -52,6 +52,7 @@ class Monitor:
         )
         self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="", since="-")
         self._flown_s, self._planned_s = 0.0, experiment.duration_s
+        self._flew_s: float | None = None  # `time_s` when a flight was last under way
 
     @property
     def mission(self) -> str:
@@ -67,22 +68,40 @@ class Monitor:
 
     @property
     def flown_s(self) -> float:
-        """Time along the formation's trajectory of the slowest robot that is heard, and not sent elsewhere alone."""
+        """Time along the formation's trajectory of the slowest robot that flies it now; while none does, the last one. The
+        clock of a robot that fell out, or is led alone, stands."""
         states = [inbox.newest() for inbox in self._states.values()]
         if None in states:
             return self._flown_s
-        reached = [s.message for s in states if s is not None and not self._silent(s)]
+        reached = [s.message for s in states if s is not None and s.message.mode is Mode.TRACKING and not self._silent(s)]
         clocks_s = [clock_s for state in reached if (clock_s := FormationPlans().clock_s(state)) is not None]
         self._flown_s = min(clocks_s, default=self._flown_s)
         return self._flown_s
 
     @property
+    def began_ns(self) -> int:
+        """Instant at which the formation's flight began, or will begin, on the station's clock; 0 while it has not been
+        started."""
+        heartbeat = self._heartbeat.newest()
+        return heartbeat.message.began_ns if heartbeat is not None else 0
+
+    @property
     def time_s(self) -> float | None:
-        """Time since the formation's flight began, negative just before; None while it has not been started."""
+        """Time since then, negative just before; None while it has not been started."""
         heartbeat = self._heartbeat.newest()
         if heartbeat is None or not heartbeat.message.began_ns:
             return None
         return (heartbeat.header.stamp_ns - heartbeat.message.began_ns) * 1e-9
+
+    @property
+    def clock_s(self) -> float | None:
+        """`time_s` as people read it: it stands while no flight is under way."""
+        self._note_clock()
+        return self._flew_s
+
+    def _note_clock(self) -> None:
+        if self.time_s is None or self.mission not in AT_REST:
+            self._flew_s = self.time_s
 
     @property
     def planned_s(self) -> float:
@@ -123,6 +142,7 @@ class Monitor:
 
         def say() -> None:
             nonlocal said_s
+            self._note_clock()  # a line that comes later says when the flight was over
             if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
                 said_s = time.monotonic()
                 console.print(self.line(), soft_wrap=True)
@@ -133,8 +153,9 @@ class Monitor:
 
     def render(self) -> RenderableType:
         """The table and the progress bar, now."""
-        since = "-" if self.time_s is None else f"{self.time_s:.1f}"
-        flown_s = max(self.time_s or 0.0, 0.0)
+        clock_s = self.clock_s
+        since = "-" if clock_s is None else f"{clock_s:.1f}"
+        flown_s = max(clock_s or 0.0, 0.0)
         self._progress.update(self._task, completed=flown_s, total=self.planned_s, speed=self.pace, since=since)
         table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
         for robot, inbox in self._states.items():
@@ -160,7 +181,8 @@ class Monitor:
         else:
             robots = [f"{r} {s.mode.name.lower()} {_error(s)}{_remark(s)}" for r, s in states.items()]
         robots += [f"{robot} silent" for robot in silent]
-        since = "     -" if self.time_s is None else f"{self.time_s:6.1f}"
+        clock_s = self.clock_s
+        since = "     -" if clock_s is None else f"{clock_s:6.1f}"
         flown = f"{since} / {self.planned_s:.0f} s"
         parts = [f"{flown}  {self.mission.lower():10s}", self.pace, self.reason or ", ".join(robots)]
         return "  ".join(part for part in parts if part)

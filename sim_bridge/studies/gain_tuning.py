@@ -104,6 +104,7 @@ def values(section: FeedbackLawConfig) -> list[float]:
 
 
 def with_gains(section: FeedbackLawConfig, gains: Array) -> FeedbackLawConfig:
+    """The section with other gains, in the order of its fields; a field that is a tuple takes as many as it has."""
     rest = iter(gains.tolist())
     table = {
         name: tuple(next(rest) for _ in value) if isinstance(value, tuple) else next(rest)

@@ -164,6 +164,7 @@ def _units() -> dict[str, str]:
 
 
 def _number(text: str) -> float | None:
+    """Parse a number; None if the text is none."""
     try:
         return float(text)
     except ValueError:
@@ -183,6 +184,7 @@ def _histogram(numbers: Sequence[float], measure: str, width_in: float) -> Figur
 
 
 def _scatter(key: str, measure: str, pairs: Sequence[tuple[float, float]], width_in: float) -> Figure:
+    """Plot a measure of flights over the value of a key, a dot for each flight."""
     figure = Figure(figsize=(width_in, TALL_IN))
     axes = figure.subplots()
     axes.plot([x for x, _ in pairs], [unit_of(measure)[1] * y for _, y in pairs], ".", color=BLUE, markersize=4)

@@ -245,7 +245,7 @@ class ThrusterBoard:
             texts.append(StatusText(WARNING, "not calibrated: armed"))
             return agent_link.REJECTED
         takes = pressure or gyro
-        if takes and self.rules.parameters.hil:
+        if self.rules.parameters.hil:
             texts.append(StatusText(WARNING, "not calibrated: in HIL mode"))
             return agent_link.REJECTED
         if not self.zero.calibrate(pressure, gyro):

@@ -333,6 +333,7 @@ def _set(message: Any) -> Event:
 
 
 def _key(message: Any) -> Event:
+    """The key of a SETUP_SIGNING message. Raises Refused for one of zeros."""
     secret = bytes(message.secret_key)
     if not any(secret):  # would leave the link unsigned: that is done at the board, not over the link
         raise Refused

@@ -50,6 +50,7 @@ def _read(memory: Path) -> NonvolatileState:
 
 
 def _write(memory: Path, key: Path, stored: NonvolatileState) -> None:
+    """Write a board's memory, and its key if that is a new one. Raises ConfigError."""
     zeros = None if stored.zeros is None else list(astuple(stored.zeros))
     fields = {"parameters": dict(stored.parameters), "heard": stored.heard, "sent": stored.sent, "zeros": zeros}
     with os_errors_as_config_errors(memory):

@@ -57,11 +57,11 @@ class BoardStart:
 class ZeroEvent(Enum):
     """Change of the zeros by a measurement."""
 
-    SAME = 0
-    TAKEN = 1
-    QUESTIONED = 2
-    BIAS_TAKEN = 3
-    MISSED = 4
+    SAME = 0  # none
+    TAKEN = 1  # new surface pressure
+    QUESTIONED = 2  # the kept surface pressure may be wrong
+    BIAS_TAKEN = 3  # new gyro bias
+    MISSED = 4  # a person's new surface pressure could not be measured
 
 
 class _Purpose(Enum):
@@ -147,13 +147,13 @@ class SensorZero:
         return ZeroEvent.BIAS_TAKEN
 
     def leave_bias(self) -> None:
-        """The robot no longer lies still."""
+        """Keep the gyro's bias as it is, for the robot no longer lies still."""
         self._rates = None
 
     def calibrate(self, pressure: bool, gyro: bool) -> bool:
-        """For a person: what is kept is right, or the zeros are taken anew where the robot is. False if nothing is kept, or
-        the pressure is not measured now: taken later, it may be that of water."""
-        if pressure and not self._has_pressure:
+        """Carry out a person's request. With `pressure` or `gyro` that zero is measured anew, from the samples that come now;
+        with neither the kept zeros are confirmed. Returns False for a request that is refused."""
+        if pressure and not self._has_pressure:  # samples that come later may be those of water
             return False
         if gyro:
             self._rates = []
@@ -161,7 +161,7 @@ class SensorZero:
             self._purpose, self._pressures = _Purpose.TAKE, []
         if pressure or gyro:
             return True
-        if self.surface_hpa is None:
+        if self.surface_hpa is None:  # nothing to confirm
             return False
         self._purpose, self.is_in_question = _Purpose.DONE, False
         return True

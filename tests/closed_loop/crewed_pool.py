@@ -56,7 +56,7 @@ class CrewedPool(DryPool):
         return views
 
     def step(self) -> None:
-        self._move()
+        self._advance_plant()
         self.now_ns += self.period_ns
         self.truth.append(self.world.eta.copy())
         self._command()

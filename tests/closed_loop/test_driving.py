@@ -25,7 +25,7 @@ class DrivenFleet:
     """Robots of the pool that hold at given places, and their commands."""
 
     def __init__(self, *starts: tuple[float, float, float, float], experiment: Experiment = POOL) -> None:
-        experiment = experiment if len(starts) == len(POOL.robots) else LONE
+        experiment = experiment if len(starts) == len(experiment.robots) else LONE
         self.fleet = AgentFleet(experiment, planner.plan(experiment), DirectPlant(experiment, 1, np.array(starts)), 1)
         self.fleet.held = True
         for _ in range(20):
@@ -101,6 +101,32 @@ def test_robot_driven_again_begins_where_it_is(alone: DrivenFleet) -> None:
     control = alone.fleet.robots[0].states[-1].control
     assert alone.mode() is Mode.DRIVEN and control is not None
     np.testing.assert_allclose(control.eta_reference, again[-1, 0], atol=0.02)
+
+
+@pytest.mark.parametrize("law", ["nmpc", "eso-mpc-article", "pid"])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_robot_that_a_slowly_rising_stick_takes_up_or_down_is_on_its_depth(law: str, sign: float) -> None:
+    """A gamepad's stick rises so that the reference never leaps; the robot follows it a second behind."""
+    water = load_experiment("pool", ["pool.size_m=[3.5, 2.5, 3.0]", f"controller.law={law}"])
+    lone = water.model_copy(update={"robots": (water.robots[0].model_copy(update={"neighbours": ()}),)})
+    fleet = DrivenFleet((0.0, 0.0, 1.5 - sign, 0.0), experiment=lone)
+    fleet.fly(4.0)
+    began, fastest_mps = fleet.fleet.now_ns, water.vehicle.limits.heave_mps
+
+    def velocity(i: int) -> DriveVelocity:
+        return DriveVelocity(heave_mps=sign * min(0.2 * (fleet.fleet.now_ns - began) * 1e-9, fastest_mps))
+
+    driven = fleet.fly(5.0, velocity)
+    assert fleet.mode() is Mode.DRIVEN
+    assert sign * (driven[-1, 0, 2] - driven[-21, 0, 2]) == pytest.approx(fastest_mps, rel=0.15)  # in the last second
+
+
+def test_robot_driven_full_ahead_around_and_up_keeps_its_depth_and_stops_below_the_surface() -> None:
+    fleet = DrivenFleet((0.0, 0.0, 0.6, 0.0))
+    began, full = fleet.fleet.now_ns, DriveVelocity(9.0, -9.0, 9.0)
+    driven = fleet.fly(20.0, lambda i: full if fleet.fleet.now_ns - began < 10_000_000_000 else DriveVelocity(9.0, 0.0, 9.0))
+    assert fleet.mode() is Mode.DRIVEN
+    assert driven[-20:, 0, 2].mean() == pytest.approx(POOL.vehicle.radius_m, abs=0.5 * POOL.safety.off_depth_m)
 
 
 def test_late_older_and_impossible_drives_are_refused(alone: DrivenFleet) -> None:

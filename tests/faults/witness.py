@@ -123,7 +123,7 @@ def watched_world(line: Line) -> type[World]:
             faults = tuple(Fault(at_s=0.0, what=what) for what in requests if what.split()[0] not in OWN)
             sim = self._experiment.sim.model_copy(update={"faults": faults})
             self.faults = FaultSchedule(self._experiment.model_copy(update={"sim": sim}))
-            flags = self.faults.at(0.0)
+            flags = self.faults.advance(0.0)
             for board, imu in zip(self.boards, self.faults.imu, strict=True):
                 board.sensors.faults = imu
             line.tell(broken=requests)

@@ -254,12 +254,15 @@ def test_a_depth_zero_is_taken_of_the_pressure_that_is_measured_when_a_person_as
     assert boards.last_text == "depth zero taken"
 
 
-def test_no_zero_is_taken_in_hil_mode_nor_after_it(library: ctypes.CDLL) -> None:
+def test_no_zero_is_taken_or_confirmed_in_hil_mode_nor_after_it(library: ctypes.CDLL) -> None:
+    """The depth by which a person would judge it is that of the simulated water."""
     boards, client = BothBoards(library), ParameterClient(1)
     boards.say(client.set("HIL_MODE", 1.0))
-    boards.say(boards.link.calibrate(pressure=True))
-    assert boards.link.telemetry.acknowledged == (CALIBRATE, REJECTED)
-    assert boards.last_text == "not calibrated: in HIL mode"
+    for answers, order in enumerate((boards.link.calibrate(pressure=True), boards.link.calibrate()), start=1):
+        boards.say(order)
+        assert boards.link.telemetry.acknowledged == (CALIBRATE, REJECTED)
+        assert boards.link.telemetry.acknowledgements == answers
+        assert boards.last_text == "not calibrated: in HIL mode"
     boards.say(client.set("HIL_MODE", 0.0))
     boards.measure(256.0 / HPA_PER_M)
     assert boards.link.telemetry.depth_m == pytest.approx(256.0 / HPA_PER_M, abs=0.01)

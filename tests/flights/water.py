@@ -66,7 +66,7 @@ class TroubledPlant(DirectPlant):
 
     def stream(self, current_mps: Array) -> None:
         """Let the water stream at another current (3,) from now on."""
-        self._plant.stream(current_mps)
+        self._plant.set_current(current_mps)
 
     def exposure(self) -> TrueState:
         """The truth now."""

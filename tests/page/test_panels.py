@@ -385,6 +385,34 @@ def test_a_curve_ends_where_its_robot_or_the_localizer_falls_silent(browser: Bro
         assert read(0, "robot 2") == "100"
 
 
+@pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.HOLDING, Mode.TRACKING])
+def test_a_robot_that_does_not_know_where_it_is_shows_no_numbers(browser: Browser, mode: Mode) -> None:
+    """Its board is silent, and its estimate gone: zeros would look measured, and the trail would lead to the pool's middle."""
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(f"{desk.url}?plots=tracking")
+
+        def shown() -> dict[str, str]:
+            facts = tile(page, 1).locator("dl > div").all_inner_texts()
+            return dict(fact.split("\n", 1) for fact in facts)
+
+        def shown_for(estimate: Estimate | None) -> dict[str, str]:
+            for _ in range(15):
+                state = RobotState(mode=mode, estimate=estimate, control=Control(eta_reference=np.full(4, 0.5)), timing=FRESH)
+                desk.robots.publish(topics.STATE, state, time.time_ns(), 1)
+                page.wait_for_timeout(100)
+            facts = shown()
+            return {
+                name: facts[name].strip() for name in facts if name in ("error", "from its place", "depth", "yaw", "speed")
+            }
+
+        facts = shown_for(Estimate(eta=np.array([0.4, 0.2, 0.3, 1.0]), nu=np.array([0.1, 0.0, 0.0, 0.0])))
+        assert (facts["depth"], facts["yaw"], facts["speed"]) == ("0.30 m", "57°", "0.100 m/s")
+        assert set(shown_for(None).values()) == {"-"}
+        plotted = page.locator(".plot").first.locator(".u-series").filter(has_text="robot 1").locator(".u-value")
+        assert plotted.inner_text() == "-"
+
+
 def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser, tmp_path: Path) -> None:
     (tmp_path / "now").mkdir()
     (tmp_path / "now" / "run.mcap").touch()

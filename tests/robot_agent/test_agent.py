@@ -224,3 +224,33 @@ def test_a_trajectory_that_was_loaded_for_later_is_forgotten_when_the_robot_hold
     assert robot.give(CommandKind.RESUME, trajectory_s=1.0).accepted
     assert robot.give(CommandKind.SWITCH, trajectory_id=later.id).reason == "trajectory later is not loaded"
     assert load().accepted and robot.give(CommandKind.SWITCH, trajectory_id=later.id).accepted
+
+
+def test_a_silent_robot_that_the_camera_sees_counts_though_no_plan_of_it_ever_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its last plan came before this robot's program was started again."""
+    steps, places, depths, keeps_m = rehearse(POOL, 1), list[complex](), list[float](), list[float]()
+    for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 20):
+        agent.step(replace(inputs, plans={}), now_ns)
+    real = agent.controller.step
+
+    def step(measurement: Any, goal: Any, neighbours: Any, at_ns: int, obstacles: Any) -> ControlOutput:
+        of = agent.controller.formation
+        others = of.predict_neighbours(neighbours, at_ns)
+        places.extend(others.place_now.tolist())
+        depths.extend(others.depth_now.tolist())
+        keeps_m.extend(of.clearances_m(others, at_ns).tolist())
+        return real(measurement, goal, neighbours, at_ns, obstacles)
+
+    monkeypatch.setattr(agent.controller, "step", step)
+    sightings, touching_m = (
+        {2: -1.5 - 0.5j, 1: 0j},
+        2.0 * POOL.safety.radius_m,
+    )  # and this robot itself, whose plans are not heard
+    for k, (_, fresh, at_ns) in enumerate(itertools.islice(steps, 60)):
+        station = replace(fresh.station, sightings=sightings if k < 40 else {}, out=(2,) if k >= 50 else ())
+        state = agent.step(replace(fresh, plans={}, station=station), at_ns).state
+    assert agent.mode is Mode.TRACKING and state.heard == ()
+    assert places == [sightings[2]] * 50, "until a person says that it is out of the water"
+    assert depths[:40] == [pytest.approx(inputs.board.depth_m)] * 40, "how deep it is nobody knows: it is in the way"
+    grown_m = 10 * POOL.controller.period_s * POOL.safety.bubble_mps
+    assert keeps_m[0] == pytest.approx(touching_m) and keeps_m[-1] == pytest.approx(touching_m + grown_m)

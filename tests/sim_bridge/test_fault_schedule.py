@@ -20,12 +20,13 @@ from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.fault_schedule import FaultSchedule, ImuFaults, LinkFaults, faults_after_the_end, require_kinds
-from sim_bridge.in_process.resume import faults_by_hand, load_changed
+from sim_bridge.in_process.resume import Moment, faults_by_hand, load_changed
 from sim_bridge.node.board_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.world import World
 
+NS = 1_000_000_000
 CALM = ("pool.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
 APART = np.array([[-9.0, 0.0, 5.0, 0.0], [9.0, 0.0, 5.0, 0.0]])
 
@@ -36,7 +37,7 @@ def thrust(line: str, pulses: list[float]) -> Array:
     fleet, faults = Plant(experiment, 1), FaultSchedule(experiment)
     state = fleet.start(APART)
     for k in range(300):
-        faults.at(k * 0.005)
+        faults.advance(k * 0.005)
         wanted = [1600.0] * 4 if k <= 100 else pulses
         state = fleet.step(state, faults.pulses(np.tile([*wanted, *[1500.0] * 4], (2, 1))), faults.actuators)
     return state.motors.force_n
@@ -52,10 +53,10 @@ def test_broken_thruster_gives_its_faulty_thrust(effect: str, factor: float) -> 
 
 def test_schedule_names_what_breaks_and_what_is_repaired() -> None:
     faults = FaultSchedule(load_experiment("pool", faults=["t=1 for=2 camera dark", "t=2 battery 1 sag 2"]))
-    assert faults.at(0.99) == []
-    assert faults.at(1.0) == ["fault: camera dark"]
-    assert faults.at(2.5) == ["fault: battery 1 sag 2"]
-    assert faults.at(3.0) == ["fault over: camera dark"]
+    assert faults.advance(0.99) == []
+    assert faults.advance(1.0) == ["fault: camera dark"]
+    assert faults.advance(2.5) == ["fault: battery 1 sag 2"]
+    assert faults.advance(3.0) == ["fault over: camera dark"]
     assert faults.actuators.sag_v.tolist() == [2.0, 0.0] and faults.camera == ()
     assert [faults.quiet_steps(time_s, 0.005, 150) for time_s in (-1.0, 0.5, 0.51, 0.998, 1.0, 2.9, 3.0)] == [
         150, 100, 98, 1, 150, 20, 150
@@ -108,7 +109,7 @@ def test_imu_faults_change_what_is_measured_of_a_turn(
 ) -> None:
     experiment = load_experiment("pool", [], [f"t=0 {what}" for what in whats])
     schedule, sensors, still = FaultSchedule(experiment), BoardSensors(experiment, 1, 1), np.zeros(4)
-    schedule.at(0.0)
+    schedule.advance(0.0)
     sensors.faults = schedule.imu[0]
     reading = sensors.read(still, np.array([0.0, 0.0, 0.0, 0.4]), still)
     assert reading.yaw_rate_radps == pytest.approx(rate_radps, abs=0.02)
@@ -223,17 +224,17 @@ def test_a_fault_made_by_hand_holds_from_then_on_and_is_reported_as_a_command_li
     """The plant is two seconds older than the robots' flight."""
     experiment = load_experiment("pool", faults=["t=1 thruster 1/1 weak 0.5"])
     schedule = FaultSchedule(experiment)
-    schedule.at(5.0, 7.0)
+    schedule.advance(5.0, 7.0)
     assert schedule.add("thruster 2/3 dead", 0.0, 5.0, 7.0) == "t=5.000 thruster 2/3 dead"
     assert schedule.add("water gust 0.04", 2.0, 5.0, 7.0) == "t=5.000 for=2 water gust 0.04"
     assert schedule.add("ball 0.5,-1 drops", 0.0, 5.0, 7.0) == "t=5.000 ball 0.5,-1 drops"
-    assert schedule.at(5.0, 7.0) == ["fault: thruster 2/3 dead", "fault: water gust 0.04", "fault: ball 0.5,-1 drops"]
+    assert schedule.advance(5.0, 7.0) == ["fault: thruster 2/3 dead", "fault: water gust 0.04", "fault: ball 0.5,-1 drops"]
     assert (schedule.actuators.thrust[1, 2], schedule.gust_mps) == (0.0, 0.04)
     assert schedule.balls[0].start_m == (0.5, -1.0, experiment.path.depth_m)
     assert schedule.quiet_steps(6.0, 0.1, 1000, 8.0) == 10
-    assert schedule.at(7.0, 9.0) == ["fault over: water gust 0.04"]
+    assert schedule.advance(7.0, 9.0) == ["fault over: water gust 0.04"]
     assert schedule.add("", 0.0, 9.0, 11.0) == "mended at 9.000 s: thruster 2/3 dead; mended at 9.000 s: ball 0.5,-1 drops"
-    assert schedule.at(9.0, 11.0) == ["fault over: thruster 2/3 dead", "fault over: ball 0.5,-1 drops"]
+    assert schedule.advance(9.0, 11.0) == ["fault over: thruster 2/3 dead", "fault over: ball 0.5,-1 drops"]
     assert schedule.actuators.thrust[0, 0] == 0.5  # what the file breaks stays broken
 
 
@@ -270,21 +271,37 @@ def test_without_a_camera_nothing_that_only_one_sees_is_broken(text: str) -> Non
         read_request(text, (1, 2), (1, 2, 3, 4), uses_camera=False)
 
 
+def record_lines(run: Path, lines: list[tuple[float, str]]) -> None:
+    """A log of the simulator's lines, each at a time in s, in a run's folder."""
+    recorder = Recorder(run / "run.mcap", "name = 'pool'\n", {})
+    for k, (time_s, line) in enumerate(lines, start=1):
+        stamp_ns = round(time_s * NS)
+        recorder.put(topics.EVENT, "shoal/event", Header(7, k, stamp_ns), encode(Event(2, "sim-bridge", line)), stamp_ns)
+    recorder.close()
+
+
+def moment(zero_s: float, until_s: float = 1e6) -> Moment:
+    """A moment 2 s into a flight, whose time 0 is at `zero_s` in the log."""
+    return Moment(2.0, round((zero_s + 2.0) * NS), round((zero_s + 2.0) * NS), round(until_s * NS))
+
+
 def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: Path) -> None:
     lines = [
-        "by hand: t=3.100 thruster 1/2 weak 0.4",
-        "by hand: t=4.000 for=2 imu 2 gyro 0.1",
-        "by hand: t=5.000 camera frozen",
-        "by hand: t=6.000 for=20 thruster 1/4 dead",
-        "by hand: before the start for=5 battery 1 sag 2",  # none of the flight's
-        "by hand: mended at 9.500 s: thruster 1/2 weak 0.4; mended at 9.500 s: camera frozen; "
-        "mended at 9.500 s: thruster 1/4 dead",
+        (3.0, "by hand: before the start for=5 battery 1 sag 2"),  # over before the flight
+        (9.0, "by hand: before the start for=5 battery 2 sag 2"),
+        (13.1, "by hand: t=3.100 thruster 1/2 weak 0.4"),
+        (14.0, "by hand: t=4.000 for=2 imu 2 gyro 0.1"),
+        (15.0, "by hand: t=5.000 camera frozen"),
+        (16.0, "by hand: t=6.000 for=20 thruster 1/4 dead"),
+        (
+            19.5,
+            "by hand: mended at 9.500 s: thruster 1/2 weak 0.4; mended at 9.500 s: camera frozen; "
+            "mended at 9.500 s: thruster 1/4 dead",
+        ),
     ]
-    recorder = Recorder(tmp_path / "run.mcap", "name = 'pool'\n", {})
-    for k, line in enumerate(lines, start=1):
-        recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
-    recorder.close()
-    assert [fault for _, fault in faults_by_hand(tmp_path)] == [
+    record_lines(tmp_path, lines)
+    assert [fault for _, fault in faults_by_hand(tmp_path, moment(10.0))] == [
+        "t=0.000 for=4 battery 2 sag 2",
         "t=3.100 for=6.4 thruster 1/2 weak 0.4",
         "t=4.000 for=2 imu 2 gyro 0.1",
         "t=5.000 for=4.5 camera frozen",
@@ -292,14 +309,34 @@ def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: 
     ]
 
 
+def test_faults_made_by_hand_come_at_the_same_time_of_the_flight_that_is_resumed(tmp_path: Path) -> None:
+    """Two flights in one session, from 10 s and from 100 s on. What was broken in the first, and is not mended, is broken in
+    the second from its start on; what came in the second is none of the first's."""
+    lines = [
+        (20.0, "by hand: t=10.000 thruster 1/2 dead"),
+        (80.0, "by hand: t=70.000 for=60 battery 1 sag 2"),
+        (81.0, "by hand: t=71.000 for=5 battery 2 sag 2"),
+        (105.0, "by hand: t=5.000 for=3 imu 2 gyro 0.1"),
+        (107.0, "by hand: mended at 7.000 s: thruster 1/2 dead; mended at 7.000 s: imu 2 gyro 0.1"),
+    ]
+    record_lines(tmp_path, lines)
+    assert [fault for _, fault in faults_by_hand(tmp_path, moment(10.0, until_s=100.0))] == [
+        "t=10.000 thruster 1/2 dead",
+        "t=70.000 for=60 battery 1 sag 2",
+        "t=71.000 for=5 battery 2 sag 2",
+    ]
+    assert [fault for _, fault in faults_by_hand(tmp_path, moment(100.0))] == [
+        "t=0.000 for=7 thruster 1/2 dead",
+        "t=0.000 for=40 battery 1 sag 2",
+        "t=5.000 for=2 imu 2 gyro 0.1",
+    ]
+
+
 def test_a_fault_that_a_flight_from_a_logged_moment_cannot_have_is_said(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "run.mcap", "name = 'pool'\n", {})
     made = ("t=3.100 thruster 1/2 weak 0.4", "t=4.000 radio 1 dead", "t=4.500 water gust 0.1", "t=5.000 for=9 camera frozen")
-    for k, line in enumerate((f"by hand: {fault}" for fault in made), start=1):
-        recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
-    recorder.close()
+    record_lines(tmp_path, [(float(fault[2:7]), f"by hand: {fault}") for fault in made])
     (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
-    experiment, (left_out, again) = load_changed(tmp_path, ["seed=4"], ["t=7 imu 2 gyro 0.1"])
+    experiment, (left_out, again) = load_changed(tmp_path, moment(0.0), ["seed=4"], ["t=7 imu 2 gyro 0.1"])
     assert [fault.what for fault in experiment.sim.faults] == [
         "thruster 1/2 weak 0.4", "radio 1 dead", "water gust 0.1", "imu 2 gyro 0.1"
     ]  # fmt: skip

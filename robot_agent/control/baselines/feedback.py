@@ -88,6 +88,7 @@ class Feedback:
         return MpcPlan(np.zeros(3), np.tile(state[:4], (self._nodes, 1)), Solve.FAILED, 0, 0.0)
 
     def _limited(self, wanted: PerAxis, before: PerAxis) -> PerAxis:
+        """A wrench within the limits of each axis, and of its change since the wrench before."""
         surge, heave, yaw = (
             min(max(w, b - step, -limit), b + step, limit)
             for w, b, step, limit in zip(wanted, before, self._step_limit, self._limit, strict=True)

@@ -120,7 +120,7 @@ class NonlinearController(Controller):
             self._lift_n = self._lift(measurement, estimate)
             self._upright.step(measurement, self._period_s)
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._wrench, self._axes)
-        self._take_up(goal, estimate)
+        self._reset_on_new_goal(goal, estimate)
         self._retune(estimate)
         pull = self.formation.pull(predictions, np.ones(4))
         surrounds = self._surrounds(predictions, obstacles, estimate, now_ns)
@@ -130,15 +130,15 @@ class NonlinearController(Controller):
         if isinstance(goal, Drive):
             goal = replace(goal, lasts_s=max(goal.lasts_s, DRIVES_ON_S))
         reference = self.sampler.sample(goal if self._place is None else Hold(self._place))
-        lead = self._lead(goal, reference, estimate, predictions, obstacles, now_ns)
-        led = lead
+        clear_reference = self._clear_reference(goal, reference, estimate, predictions, obstacles, now_ns)
+        pulled_reference = clear_reference
         if pull is not None and isinstance(goal, Follow):
             moved, _ = pull
-            led = pulled(lead, np.concatenate([np.repeat(moved[:1], 2, axis=0), moved])[:, :3])
-        iteration = self._improve(goal, led, dynamics, start, surrounds)
-        dive = self._dive(estimate, led)
+            pulled_reference = pulled(clear_reference, np.concatenate([np.repeat(moved[:1], 2, axis=0), moved])[:, :3])
+        iteration = self._improve(goal, pulled_reference, dynamics, start, surrounds)
+        dive = self._dive(estimate, pulled_reference)
         self._off_m = math.hypot(*(reference.eta[0, :2] - estimate.eta[:2]).tolist())
-        return self._put_out(estimate, reference, lead, iteration, dive, now_ns)
+        return self._output(estimate, reference, clear_reference, iteration, dive, now_ns)
 
     def _lift(self, measurement: StateMeasurement, estimate: Observation) -> float:
         """Force upwards of the thrust of a tilted hull, N: ahead on a bow that points up, sideways on a side that does."""
@@ -146,8 +146,9 @@ class NonlinearController(Controller):
         pitch, roll = (min(max(rad, -STEEPEST_RAD), STEEPEST_RAD) if math.isfinite(rad) else 0.0 for rad in tilts_rad)
         return float(estimate.action.item(8) * math.sin(pitch) - estimate.action.item(11) * math.sin(roll))
 
-    def _take_up(self, goal: Goal, estimate: Observation) -> None:
-        """Begin a plan anew at a goal of another kind, and when the estimate has leapt."""
+    def _reset_on_new_goal(self, goal: Goal, estimate: Observation) -> None:
+        """Forget the place to rest at a goal of another kind, and the plan at the first goal or when the estimate has
+        leapt."""
         before, self.goal = self.goal, goal
         if is_other_goal(before, goal):
             self._place = None
@@ -163,7 +164,7 @@ class NonlinearController(Controller):
         return Dynamics(hull, Surroundings(current.real, current.imag, *own))
 
     def _retune(self, estimate: Observation) -> None:
-        """Follow the bandwidths that noise and error allow."""
+        """Filter the bandwidths towards those that the estimate's noise and the robot's error allow."""
         assert estimate.deviations is not None  # the configuration allows no observer without
         depth_radps = self._config.estimator.bandwidth_radps
         observer_radps = estimate.bandwidth_radps or tunings.MODEL_SHARE * depth_radps
@@ -179,7 +180,7 @@ class NonlinearController(Controller):
     def _surrounds(
         self, predictions: NeighbourPredictions, obstacles: Sequence[Obstacle], estimate: Observation, now_ns: int
     ) -> Surrounds:
-        """All that the plan keeps clear of."""
+        """Neighbours, obstacles and walls that the plan keeps clear of."""
         here, bodies = complex(*estimate.action[:2].tolist()), NO_BODIES
         if predictions.neighbours:
             keep, until = zip(*(self._distance(other, now_ns) for other in predictions.neighbours), strict=True)
@@ -206,7 +207,9 @@ class NonlinearController(Controller):
         assert self._tuning is not None
         return tunings.planar_weights(self._vehicle, self._tuning, self._config.nmpc.arm_m, manner, self._config.mpc.slack)
 
-    def _improve(self, goal: Goal, led: Reference, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Iteration:
+    def _improve(
+        self, goal: Goal, pulled_reference: Reference, dynamics: Dynamics, start: Start, surrounds: Surrounds
+    ) -> Iteration:
         """One step of the planner towards a goal: headings of the reference, weights for the goal, one program solved."""
         assert self._tuning is not None
         gains = self._config.nmpc
@@ -216,7 +219,7 @@ class NonlinearController(Controller):
         near_rad = self._turns.near_rad(start.state.item(2))
         heading_m = gains.arm_m if keeps_heading else gains.heading_m
         rule = HeadingRule(near_rad, heading_m**2, keeps_heading, is_resting)
-        set_course(led.eta, led.velocity, dynamics.water, rule, self._course)
+        set_course(pulled_reference.eta, pulled_reference.velocity, dynamics.water, rule, self._course)
         self._turns.note(self._course, near_rad)
 
         turning_m = gains.hold_turning_m if is_resting else gains.turning_m
@@ -227,12 +230,12 @@ class NonlinearController(Controller):
         is_calm = is_resting and self._off_m < self._calm_m
         return self._planner.step(dynamics, problem, self._tuning, math.inf if is_calm else TOLERANCE_M)
 
-    def _dive(self, estimate: Observation, led: Reference) -> Iteration:
-        """One step of the plan of depth."""
+    def _dive(self, estimate: Observation, pulled_reference: Reference) -> Iteration:
+        """Improve the plan of depth by one step. `rounds` is 0 in the result where it failed."""
         assert self._tuning is not None
         hull = tunings.depth_hull(self._model.nominal, self._model.lag_s, tunings.STEP_S)
         water = Surroundings(0.0, 0.0, estimate.disturbance.item(2), 0.0, 0.0)
-        set_depth_course(led.eta, led.velocity, self._depth_course)
+        set_depth_course(pulled_reference.eta, pulled_reference.velocity, self._depth_course)
         start = make_depth_start(estimate.action, self._wrench.item(1) - self._lift_n)
         weights = tunings.depth_weights(self._vehicle, self._tuning)
         problem = PlanProblem(start, self._depth_course, weights, self._depth_limits, self._open_water)
@@ -244,10 +247,16 @@ class NonlinearController(Controller):
 
     # --- results
 
-    def _put_out(
-        self, estimate: Observation, reference: Reference, lead: Reference, iteration: Iteration, dive: Iteration, now_ns: int
+    def _output(
+        self,
+        estimate: Observation,
+        reference: Reference,
+        clear_reference: Reference,
+        iteration: Iteration,
+        dive: Iteration,
+        now_ns: int,
     ) -> ControlOutput:
-        """Convert the plans to pulses and output."""
+        """Convert the plans' wrench to pulses, remember it, and collect the step's output."""
         solved = iteration.rounds > 0 and dive.rounds > 0
         self._shifted = 0 if solved else self._shifted + 1
         failed = self._shifted > bridged_steps(self._period_s)
@@ -255,10 +264,10 @@ class NonlinearController(Controller):
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(wrench)
         wrench_step = wrench - self._wrench
         self.note_command(wrench, delivered, now_ns)
-        plan_eta, plan_reference = self._reported_plan(estimate, lead)
+        plan_eta, plan_reference = self._reported_plan(estimate, clear_reference)
         error_m = float(np.linalg.norm(reference.eta[0, :3] - estimate.eta[:3]))
         self._priority = Priority(self._urgent, error_m)
-        command = lead.eta[0].copy()
+        command = clear_reference.eta[0].copy()
         command[3] = self._course.yaw[0]
         deviations = estimate.deviations
         assert deviations is not None  # the configuration allows no observer without
@@ -279,7 +288,7 @@ class NonlinearController(Controller):
             plan_eta=plan_eta,
             plan_reference=plan_reference,
             tracking_error_m=error_m,
-            is_free=lead is reference and not iteration.binds,
+            is_free=clear_reference is reference and not iteration.binds,
             path_is_blocked=self._give_way.path_is_blocked,
             flow_moment=flow_moment(self._model.coefficients, estimate.through_water, deviations.velocity_mps),
             avoids=self._give_way.avoids or iteration.binds,
@@ -301,10 +310,10 @@ class NonlinearController(Controller):
         change = np.clip(wanted - self._wrench, -most, most)
         return np.clip(self._wrench + change, -np.array(limits.wrench), limits.wrench)
 
-    def _reported_plan(self, estimate: Observation, lead: Reference) -> tuple[Array, Array]:
+    def _reported_plan(self, estimate: Observation, clear_reference: Reference) -> tuple[Array, Array]:
         """The plan that is flown, from now on, and where it is meant to be; the reference has the plan's heading."""
         poses = self._reported_poses(estimate, self._planner.flight.state, self._depth.flight.state[:, 0])
-        reference = interpolate(lead.eta, self._reported_rows)
+        reference = interpolate(clear_reference.eta, self._reported_rows)
         reference[:, 3] = poses[:, 3]
         return poses, reference
 
@@ -315,13 +324,13 @@ class NonlinearController(Controller):
         rows[2:, :2], rows[2:, 3], rows[2:, 2] = state[:, :2], state[:, 2], depth_m
         return interpolate(rows, self._reported_rows)
 
-    def _forget(self) -> None:
+    def _forget_plan(self) -> None:
         self._planner.forget()
         self._turns.reset()
         self._depth.flight.command[:] = 0.0
         self._place, self._off_m, self._shifted, self._lift_n = None, 0.0, 0, 0.0
 
-    def _drift(self, estimate: Observation) -> Array:
+    def _drift_poses(self, estimate: Observation) -> Array:
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._still, self._axes)
         fly(dynamics, self._grid, start, self._drift_flight)
         return self._reported_poses(estimate, self._drift_flight.state, estimate.eta.item(2))

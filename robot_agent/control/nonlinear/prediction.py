@@ -139,7 +139,7 @@ def make_grid(horizon_s: float, axes: tuple[int, ...]) -> Grid:
 
 
 def make_flight(axes: int) -> PlannedFlight:
-    """Memory of a flight that stands still."""
+    """Memory of a flight with `axes` actuated axes: all zeros, a robot at rest at the origin without thrust."""
     count = NODES * axes
     return PlannedFlight(
         np.zeros((NODES, axes)), np.zeros((NODES, STATES)), np.zeros((NODES, DERIVED, count)), np.zeros((12, count))

@@ -144,6 +144,7 @@ def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, manner: M
 
 
 def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
+    """Weights of heave. Depth has no heading, so those of turning and facing are 0."""
     rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
     end_s, lead_s = END_SHARE / tuning.depth, 1.0 / tuning.depth
     return Weights(
@@ -171,6 +172,7 @@ def planar_limits(vehicle: Vehicle) -> InputLimits:
 
 
 def depth_limits(vehicle: Vehicle) -> InputLimits:
+    """Limits of heave: force (1,) in N, and its rate (1,) in N/s."""
     return InputLimits(np.array([vehicle.limits.wrench[1]]), np.array([vehicle.limits.wrench_rate_per_s[1]]))
 
 

@@ -67,6 +67,15 @@ def test_a_persons_act_is_the_cause_before_a_hold_that_healed(tmp_path: Path, li
     assert "– not judged" in page and "✗ failed" not in page
 
 
+@pytest.mark.parametrize("goes_on", ["RESUME asked for", "PATH square asked for", "FORMATION line 0.8 asked for"])
+def test_a_return_that_was_called_off_is_not_the_cause_of_a_later_end(tmp_path: Path, goes_on: str) -> None:
+    script = holds(4.0)
+    script.lines, script.until_s = ((2.0, "RETURN asked for"), (2.5, "HOLD asked for"), (3.0, goes_on)), 6.0
+    result = judged(tmp_path, script)
+    assert result.cause is not None
+    assert (result.cause.noticed_by, result.cause.text, result.verdict) == ("robot 1", "holding: pose late", "failed")
+
+
 def test_a_fault_that_lasts_is_the_cause_also_if_a_person_stops_the_fleet_then(tmp_path: Path) -> None:
     script = holds(4.0)
     script.lines, script.until_s = ((5.0, "STOP asked for"),), 6.0

@@ -231,6 +231,23 @@ def test_a_flight_has_no_cause_in_the_next_one(flown: tuple[Experiment, RunLog, 
     assert result.cause.injected == ""
 
 
+def test_a_fault_injected_before_the_flight_counts_only_if_it_was_not_over(flown: tuple[Experiment, RunLog, Path]) -> None:
+    """In an earlier flight of the session. What was not over when this one began is named, with a time before its start."""
+    experiment, log, _ = flown
+    lines = ((-9.0, "fault: battery 1 sag 2"), (-8.0, "fault: thruster 1/2 dead"), (-7.0, "fault over: battery 1 sag 2"))
+    whys = ((1.0, "the board is silent", 4),)
+    events = []
+    for k, (at_s, text, level) in enumerate([*((at_s, text, 2) for at_s, text in lines), *whys]):
+        ns = round((START_S + at_s) * SECOND)
+        events.append(DecodedMessage(ns, ns, k, Event(level, "sim-bridge" if level == 2 else "agent-1", text)))
+    for left_out, injected in (("", "thruster 1/2 dead at -8.0 s"), ("thruster", "")):
+        kept = [e for e in events if not left_out or left_out not in e.message.message]
+        entries = {**log.entries, (topics.EVENT.name, 0): kept}
+        result = result_of(experiment, dataclasses.replace(log, entries=entries))
+        assert result.cause is not None and result.cause.text == "the board is silent"
+        assert result.cause.injected == injected
+
+
 def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
     stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
     heartbeats = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]

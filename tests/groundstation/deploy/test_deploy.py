@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from typer.testing import CliRunner, Result
@@ -448,6 +449,28 @@ def test_a_probe_finds_the_serial_ports_of_a_board(tmp_path: Path) -> None:
     assert (probe.ports, probe.has_device) == (("usb-1-if00", "usb-2-if00"), True)
     probe = probed(tmp_path / "none", tmp_path / "none")
     assert (probe.ports, probe.has_device) == ((), False)
+
+
+@pytest.mark.skipif(os.geteuid() == 0 and shutil.which("setpriv") is None, reason="root may write everywhere")
+def test_a_probe_finds_a_home_that_the_user_cannot_write(tmp_path: Path) -> None:
+    """In the shell of this machine. A dry run must say so too, and what to do."""
+
+    def probed(home: Path) -> Probe:
+        command = manifest.PROBE.format(home=home, ports=tmp_path, device=tmp_path)
+        nobody = ["setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups"] if os.geteuid() == 0 else []
+        script = deploy_shell.ARMED.read_text(encoding="utf-8") + command
+        done = subprocess.run([*nobody, "sh", "-c", script], capture_output=True, text=True, check=True)
+        return manifest.read_probe("pi", done.stdout)
+
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o777)
+        assert probed(folder / "new" / "shoal").manifest == {}
+        folder.chmod(0o555)
+        for home in (folder, folder / "new" / "shoal"):
+            with pytest.raises(ConfigError, match=f"pi: .* may not write {home} there .*sudo install -d -o .* -m 755 {home}"):
+                probed(home)
+        folder.chmod(0o755)
 
 
 @pytest.mark.parametrize(

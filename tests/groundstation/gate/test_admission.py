@@ -338,7 +338,7 @@ def test_a_member_that_is_not_wanted_is_rationed_like_a_stranger() -> None:
         for number, lane in door.turns(now_s):
             assert lane == NEW  # never that of the members
             door.admission.proven(number, now_s)
-            door.admission.expelled(number, now_s)
+            door.admission.expel(number, now_s)
             assert not door.admission.ended(number, False, now_s)  # no failed handshake: the router says whose it was
             expelled += 1
         door.admission.overdue(now_s)
@@ -352,7 +352,7 @@ def test_an_origin_stays_known_by_its_other_members_when_one_is_expelled() -> No
     door.join("10.0.0.1", 0.0)
     number = door.come("10.0.0.1", 0.1, hello=True)
     assert door.turns(0.1) == [(number, KNOWN)]
-    door.admission.expelled(number, 0.1)  # before its handshake was seen to succeed
+    door.admission.expel(number, 0.1)  # before its handshake was seen to succeed
     assert not door.admission.ended(number, False, 0.1)
     assert door.turns(0.2) == []
     other = door.come("10.0.0.1", 0.3, hello=True)
@@ -438,16 +438,16 @@ def test_a_hello_is_as_large_as_it_may_be_and_no_larger() -> None:
 
 def test_tokens_come_by_their_rate_up_to_the_burst_and_are_overdrawn_by_as_much() -> None:
     tokens = Tokens(2.0, 0.5)
-    assert (tokens.left(0.0), tokens.next_s(0.0)) == (2.0, 0.0)
+    assert (tokens.refill(0.0), tokens.next_s(0.0)) == (2.0, 0.0)
     tokens.add(-1.5, 0.0)
-    assert (tokens.left(0.0), tokens.next_s(0.0)) == (0.5, 1.0)
+    assert (tokens.refill(0.0), tokens.next_s(0.0)) == (0.5, 1.0)
     tokens.add(-9.0, 0.0)
-    assert (tokens.left(0.0), tokens.next_s(0.0)) == (-2.0, 6.0)
-    assert (tokens.left(4.0), tokens.left(3.0), tokens.next_s(4.0)) == (0.0, 0.0, 6.0)
+    assert (tokens.refill(0.0), tokens.next_s(0.0)) == (-2.0, 6.0)
+    assert (tokens.refill(4.0), tokens.refill(3.0), tokens.next_s(4.0)) == (0.0, 0.0, 6.0)
     tokens.add(1.0, 4.0)
-    assert (tokens.left(4.0), tokens.left(5.0), tokens.left(1e6)) == (1.0, 1.5, 2.0)
+    assert (tokens.refill(4.0), tokens.refill(5.0), tokens.refill(1e6)) == (1.0, 1.5, 2.0)
     tokens.add(5.0, 1e6)
-    assert tokens.left(1e6) == 2.0
+    assert tokens.refill(1e6) == 2.0
 
 
 def test_the_next_look_is_for_the_first_thing_that_is_due() -> None:

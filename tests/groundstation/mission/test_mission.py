@@ -1453,7 +1453,8 @@ def test_disarm_when_all_is_over_keeps_the_reason() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ends", "verdict"), [(CommandKind.DISARM, MissionState.CANCELLED), (CommandKind.STOP, None), (None, MissionState.FAILED)]
+    ("ends", "verdict"),
+    [(CommandKind.DISARM, MissionState.CANCELLED), (CommandKind.STOP, MissionState.STOPPED), (None, MissionState.FAILED)],
 )
 def test_a_start_after_a_flight_that_passed_has_a_verdict_of_its_own(
     ends: CommandKind | None, verdict: MissionState | None
@@ -1470,6 +1471,17 @@ def test_a_start_after_a_flight_that_passed_has_a_verdict_of_its_own(
         assert run.mission.request(ends, run.fleet(), run.now_ns) == ""
     run.step(PATIENCE_S + 1.0)
     assert run.mission.verdict is verdict
+
+
+def test_the_way_home_after_a_stop_is_no_success_of_the_flight_that_was_stopped() -> None:
+    fleet = SimulatedFleet(load_experiment("pool"))
+    fleet.run(1.0)
+    for order in (CommandKind.START, CommandKind.STOP, CommandKind.CLEAR_STOP, CommandKind.RETURN):
+        assert fleet.core.request(order, fleet.fleet, fleet.now_ns)[0] == ""
+        fleet.run(6.0 if order is CommandKind.START else 1.0)
+    while fleet.mission.state not in TERMINAL:
+        fleet.step()
+    assert (fleet.mission.state, fleet.mission.verdict) == (MissionState.DONE, MissionState.STOPPED)
 
 
 def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() -> None:

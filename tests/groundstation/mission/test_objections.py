@@ -104,6 +104,8 @@ REASONS: list[tuple[CommandKind, dict[str, Any], dict[str, Any], str]] = [
     *((K.CLEAR_STOP, {"mode": mode}, {}, "robot 2 has not stopped yet") for mode in (Mode.ARMED, Mode.HOLDING, Mode.TRACKING)),
     (K.CLEAR_STOP, {"mode": Mode.ARMED}, AT_REST, "robot 2 is armed: disarm it first (ARMED)"),
     *((order, {}, {"segment": HOME}, "the robots are on their way back to the start") for order in (K.GO, K.FORMATION)),
+    (K.FORMATION, {}, {"homeward": True, "state": S.PAUSED}, "the robots are on their way back to the start"),
+    (K.GO, {}, {"transfer": True}, "the robots are still on their way to their places"),
     (K.GO, {}, {"via": ()}, "where to?"),
     (K.GO, {}, {"flown": POOL}, "the path is a circle: it cannot be left"),
     (K.GO, {}, {"flown": DIVING}, "the path dives: it cannot be left"),
@@ -144,6 +146,7 @@ def test_a_request_is_refused_for_each_of_its_reasons(
         (K.GO, {}, {"segment": HOME, "state": S.WAITING}),
         (K.FORMATION, {}, {"transfer": True, "state": S.PAUSED}),
         (K.FORMATION, {}, {"transfer": True, "segment": HOME, "state": S.WAITING}),  # the way home has been flown
+        (K.FORMATION, {}, {"homeward": True, "state": S.WAITING}),  # as it ended
         (K.FORMATION, {}, {"text": "order 2,1"}),
         (K.FORMATION, {"eta": (1.0, 0.0, 0.0, 0.0), "mode": Mode.DISARMED}, AT_REST),
         (K.HOLD, {"mode": Mode.DISARMED}, {}),

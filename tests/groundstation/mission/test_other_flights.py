@@ -9,11 +9,13 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.planning.feasibility import never
 from groundstation.planning.segment import PlanSegment, first_segment, sample
-from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
+from shoal.config.experiment import NO_CAMERA, Experiment, dump_experiment, load_experiment, with_flight
 from shoal.config.loader import parse_toml
 from shoal.errors import ConfigError
+from shoal.frames import Array
 from shoal.messages.messages import CommandKind, Mode, Progress
-from tests.groundstation.mission.simulated_fleet import PLACES, THREE, SimulatedFleet, an_experiment
+from tests.groundstation.mission.simulated_fleet import CIRCLE as LAPS
+from tests.groundstation.mission.simulated_fleet import PLACES, THREE, TWO, SimulatedFleet, an_experiment
 
 CIRCLE = '[path]\nkind = "circle"\ndiameter_m = 1.0\nlap_s = 60.0\ndepth_m = 0.3\n'
 
@@ -321,6 +323,57 @@ def test_a_draft_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
     assert fleet.mission.state is MissionState.PAUSED and newest(fleet)[0] is Progress.DONE  # nobody was asked to fly it
 
 
+def test_the_way_into_place_after_a_hold_belongs_to_the_lap_that_is_flown_on() -> None:
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, LAPS, 100))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < 40.5:  # a lap has 20 s
+        fleet.step()
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(3.0)
+    before = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
+    assert ask(fleet, CommandKind.FORMATION, "column 1.2") == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s + 25.0:
+        fleet.step()
+    after = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
+    assert sorted(after) == [1, 2, 3, 4]
+    assert (after[1], after[2]) == (before[1], before[2]), "they were over"
+    assert after[4] == pytest.approx(25.0 - 1.5 - 19.4, abs=0.5), "and the next one begins 20 s of the path after the third"
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_gains_for_the_next_lap_are_not_taken_on_the_way_into_place(moves: bool) -> None:
+    """A plan from a hold moves the lap; a hold that robots go on from does not."""
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, LAPS, 100))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < 45.0:  # a lap has 20 s
+        fleet.step()
+    before = {robot: body.tuning_id for robot, body in fleet.robots.items()}
+    _, number = fleet.core.request_gains({"controller.nmpc.turning_m": 0.02}, True, fleet.fleet, fleet.now_ns)
+    fleet.run(2.0)
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(3.0)
+    assert (ask(fleet, CommandKind.FORMATION, "column 1.2") if moves else ask(fleet, CommandKind.RESUME)) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < 59.5:
+        fleet.step()
+    assert {robot: body.tuning_id for robot, body in fleet.robots.items()} == before
+    fleet.run(3.0)
+    outcome = fleet.core.requests.outcome(number)
+    assert outcome is not None
+    if moves:
+        assert {robot: body.tuning_id for robot, body in fleet.robots.items()} == before
+        assert (outcome.progress, outcome.reason) == (
+            Progress.FAILED, "a new plan has moved the lap: nothing was changed",
+        )  # fmt: skip
+    else:
+        assert outcome.progress is Progress.DONE
+
+
 def test_each_run_has_laps_of_its_own() -> None:
     """A person disarms after a few seconds, loads another path, and starts again."""
     fleet = SimulatedFleet(load_experiment("pool"))
@@ -354,3 +407,135 @@ def test_a_form_can_be_taken_from_a_hold_that_reaches_the_robots_at_the_paths_en
     assert all(robot.clock.reached_s > fleet.mission.segment.end_s for robot in fleet.robots.values())
     assert ask(fleet, CommandKind.FORMATION, "line 0.8") == ""
     until(fleet, MissionState.DONE, 60.0)
+
+
+def rotating(robots: str, more: tuple[str, ...] = ()) -> Experiment:
+    """Laps in a formation that turns with its path."""
+    circle = f"path={LAPS}".replace("lap_s=20", "lap_s=40")
+    settings = [circle, f"robots={robots}", "pool.size_m=[9.0,9.0,1.0]", "duration_s=60", "article=[]", NO_CAMERA, *more]
+    return load_experiment("pool", ['formation.mode="rotate"', *settings])
+
+
+def offset_m(fleet: SimulatedFleet) -> Array:
+    """Place of robot 2 (2,) as seen from robot 1."""
+    return np.asarray((fleet.robots[2].eta - fleet.robots[1].eta)[:2])
+
+
+@pytest.mark.parametrize("after_s", [-6.0, 0.9], ids=["on the way into place", "just after"])
+def test_a_form_from_a_hold_replaces_the_one_taken_before_the_start(after_s: float) -> None:
+    fleet = SimulatedFleet(an_experiment("go-on", THREE, LAPS, 60))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.FORMATION, "line 1.0") == ""
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s + after_s:
+        fleet.step()
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(3.0)
+    for form in ("line 1.3", "column 1.2", "order 3,1,2"):  # each from a hold on the way into the one before
+        assert ask(fleet, CommandKind.FORMATION, form) == ""
+        until(fleet, MissionState.RUNNING, 10.0)
+        assert ask(fleet, CommandKind.HOLD) == ""
+        fleet.run(2.0)
+    assert ask(fleet, CommandKind.RESUME) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s + 5.0:
+        fleet.step()
+    x_m, y_m = np.array([body.eta[:2] for body in fleet.robots.values()]).T
+    assert np.ptp(x_m) < 0.05 and np.diff(np.sort(y_m)) == pytest.approx([1.2, 1.2], abs=0.05), "a column"
+
+
+def test_a_form_from_a_hold_comes_behind_a_change_of_the_experiment_that_has_begun() -> None:
+    change = '[{at_s=6.0,over_s=8.0,shape="line",spacing_m=1.0}]'
+    experiment = load_experiment("pool", [
+        f"path={LAPS}", "pool.size_m=[7.0,5.0,1.0]", f"robots={TWO}", "duration_s=60", "article=[]", NO_CAMERA,
+        f"formation.changes={change}",
+    ])  # fmt: skip
+    fleet = SimulatedFleet(experiment)
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < 7.0:
+        fleet.step()
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(2.0)
+    assert ask(fleet, CommandKind.FORMATION, "column 1.2") == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s + 15.0:
+        fleet.step()
+    assert np.abs(offset_m(fleet)) == pytest.approx([0.0, 1.2], abs=0.05)
+
+
+@pytest.mark.parametrize("holds", [False, True])
+def test_a_formation_that_turns_takes_another_form_at_rest_and_from_a_hold(holds: bool) -> None:
+    """Its robots fly in other directions then: they turn at the end of their ways into place."""
+    fleet = SimulatedFleet(rotating(THREE))
+    fleet.run(1.0)
+    if holds:
+        assert ask(fleet, CommandKind.START) == ""
+        until(fleet, MissionState.RUNNING, 10.0)
+        fleet.run(5.0)
+        assert ask(fleet, CommandKind.HOLD) == ""
+        fleet.run(2.0)
+    for form in ("column 1.0", "turn 30", "order 3,1,2"):
+        assert ask(fleet, CommandKind.FORMATION, form) == ""
+        fleet.run(1.0)
+        assert fleet.mission.reason == "" and not fleet.mission.plans.failure
+        if holds:
+            until(fleet, MissionState.RUNNING, 20.0)
+            assert newest(fleet)[0] is Progress.DONE
+            assert ask(fleet, CommandKind.HOLD) == ""
+            fleet.run(2.0)
+
+
+def test_a_form_is_taken_once_when_a_robot_is_lost_before_the_others_set_out() -> None:
+    fleet = SimulatedFleet(an_experiment("close-up", THREE, PLACES, 60))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.RUNNING, 10.0)
+    fleet.run(4.0)
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(3.0)
+    assert ask(fleet, CommandKind.FORMATION, "scale 1.3") == ""
+    until(fleet, MissionState.RELOADING, 5.0)
+    fleet.robots[3].alive = False
+    until(fleet, MissionState.DEGRADED, 40.0)
+    while fleet.mission.plans.progress_s < fleet.mission.segment.transfer_end_s + 5.0:
+        fleet.step()
+    assert float(np.hypot(*offset_m(fleet))) == pytest.approx(1.3 * 0.9, abs=0.05)
+
+
+def test_no_form_is_flown_in_place_of_the_way_home() -> None:
+    """A RETURN from rest that was held before it had its plan: RESUME leads home, and nothing else flies the path."""
+    fleet = SimulatedFleet(an_experiment("go-on", TWO, PLACES, 20))
+    fleet.run(1.0)
+    for robot in fleet.robots:
+        assert fleet.core.request(CommandKind.ARM, fleet.fleet, fleet.now_ns, only=robot)[0] == ""
+    fleet.run(0.5)
+    assert ask(fleet, CommandKind.RETURN) == ""
+    fleet.run(0.1)
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(3.0)
+    assert "on their way back to the start" in ask(fleet, CommandKind.FORMATION, "column 0.8")
+    assert ask(fleet, CommandKind.RESUME) == ""
+    until(fleet, MissionState.DONE, 60.0)
+
+
+def test_another_path_in_place_of_the_way_home_is_a_flight_of_its_own() -> None:
+    """The session is judged by its end, and not by that of the flight before."""
+    fleet = SimulatedFleet(an_experiment("abort", TWO, PLACES, 20))
+    fleet.run(1.0)
+    assert ask(fleet, CommandKind.START) == ""
+    until(fleet, MissionState.DONE, 60.0)
+    verdicts = [fleet.mission.verdict]
+    assert ask(fleet, CommandKind.RETURN) == ""
+    until(fleet, MissionState.RETURNING, 20.0)
+    assert ask(fleet, CommandKind.HOLD) == ""
+    fleet.run(2.0)
+    text = dump_experiment(an_experiment("abort", TWO, PLACES.replace("0.6", "0.4"), 20))
+    assert ask(fleet, CommandKind.PATH, text) == ""
+    until(fleet, MissionState.RUNNING, 20.0)
+    fleet.robots[2].alive = False
+    until(fleet, MissionState.FAILED, 30.0)
+    assert [*verdicts, fleet.mission.verdict] == [MissionState.DONE, MissionState.FAILED]

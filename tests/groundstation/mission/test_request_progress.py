@@ -411,6 +411,18 @@ def test_a_run_ends_when_all_heard_robots_rest() -> None:
     assert not lab.requests.ending
 
 
+def test_a_thruster_test_is_no_reason_for_another_request_to_fail() -> None:
+    lab = Asked()
+    number = lab.ask(CommandKind.ARM)
+    fleet = lab.run.fleet()
+    for robot in (1, 2):
+        state = fleet[robot].state
+        assert state is not None
+        fleet[robot] = replace(fleet[robot], state=replace(state, thruster_test="passed"))
+    lab.requests.follow(lab.run.mission, fleet, lab.tuning, ())
+    assert lab.outcome(number).why == ("is disarmed", "is disarmed")
+
+
 def test_a_failed_thruster_test_names_the_thruster() -> None:
     lab = Asked()
     number = lab.ask(CommandKind.TEST)

@@ -1,5 +1,8 @@
 """Shifted plans: another form on any common path, and past an obstacle on every lap, each as smooth as what it replaces."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +15,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.formation_shapes import shape_nodes
 from shoal.config.scene import read_form
 from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 from tests.groundstation.planning.smoothness import check_smooth
 
 PERIOD_S = 0.05
@@ -54,6 +58,26 @@ def test_a_second_form_replaces_the_first_one_and_a_detour_keeps_it(laps: Experi
     detour = replan(laps, line, 40.0, np.array([[x, y, 0.1]]))
     assert np.ptp(apart_m(detour, 70.0)[:, 1]) < 1e-6
     assert np.ptp(apart_m(in_form(laps, line, 40.0, read_form("column 1.0", 0.0)[0]), 40.0)[:, 0]) < 1e-6
+
+
+@pytest.mark.parametrize("takes", [in_form, reshape])
+def test_a_robot_at_rest_at_the_end_keeps_the_heading_that_its_form_gives_it(takes: Callable[..., PlanSegment]) -> None:
+    """Behind its end a trajectory is at rest, and plans from rest may hold a sample of that."""
+    circle = ['path={kind="circle",lap_s=40,diameter_m=0.8,depth_m=0.5}', "duration_s=60", "pool.size_m=[9,9,1.5]"]
+    experiment = load_experiment("numeric", ["formation.mode=rotate", "localizer.uses_camera=false", *circle])
+    whole = first_segment(experiment)
+    rests = {slot: _at_rest_from(trajectory, -1) for slot, trajectory in whole.trajectories.items()}
+    before = replace(whole, trajectories=rests, centre=_at_rest_from(whole.centre, -1))
+    changes = read_form("turn 30", AT_S)
+    after = takes(experiment, before, AT_S, changes[0] if takes is in_form else changes)
+    for trajectory in after.trajectories.values():
+        assert np.abs(np.diff(trajectory.eta[-20:, 3])).max() < 0.02
+
+
+def _at_rest_from(trajectory: Trajectory, row: int) -> Trajectory:
+    velocity, acceleration = trajectory.velocity.copy(), trajectory.acceleration.copy()
+    velocity[row:], acceleration[row:] = 0.0, 0.0
+    return replace(trajectory, velocity=velocity, acceleration=acceleration)
 
 
 def test_an_obstacle_on_a_lapped_path_is_passed_on_every_lap(laps: Experiment) -> None:

@@ -37,6 +37,7 @@ from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import HELD_UP, Bus, Inbox, Received
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment, with_flight
+from shoal.config.scene import read_form
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
@@ -593,6 +594,21 @@ def test_a_draft_is_planned_as_its_request_would_be_and_refused_for_the_same_rea
                 station.draft(order, what)
             assert reason in station.request(order, text=what)[0]
         assert station.mission.segment is before and station.mission.plan_request is None
+
+
+def test_the_heartbeat_says_that_a_person_gave_another_form_or_way(tmp_path: Path) -> None:
+    """The article's figures are not for such a flight."""
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        beats, plans = Bus(MemoryTransport(hub)).inbox(topics.HEARTBEAT, StationHeartbeat), station.mission.plans
+        reports, first = [], plans.segment
+        changes = read_form("line 1.0", 0.0)[:1]
+        for k, segment in enumerate((replace(first, forms=changes), replace(first, via=((0.5, 0.5),)), first)):
+            plans.segment = segment
+            station.cycle((k + 1) * 50_000_000)
+            beat = beats.newest()
+            reports.append(beat is not None and beat.message.other_path)
+        assert reports == [True, True, False]
 
 
 def test_the_heartbeat_says_that_another_path_than_the_experiments_is_flown(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from shoal.messages.messages import (
     BoardReading,
     CommandKind,
     Event,
+    LocalizerStatus,
     Mode,
     Plan,
     Preview,
@@ -30,6 +31,7 @@ from shoal.messages.messages import (
     StationHeartbeat,
     StepTiming,
     Trajectory,
+    Truth,
 )
 from shoal.messages.topics import Topic
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
@@ -315,6 +317,17 @@ def test_a_line_of_an_earlier_run_is_shown_at_its_own_time(tmp_path: Path, behin
             recorder.put(
                 topics.STATE, "shoal/robot/1/state", header, encode(RobotState()), zero_ns + k * 50_000_000 + 2_000_000
             )
+    for session, source, topic, message in (
+        (2, "sim-bridge", topics.TRUTH, Truth()),
+        (3, "localizer", topics.LOCALIZER, LocalizerStatus()),
+    ):
+        put(session, source, 1, -30.0, 0.9)
+        put(session, source, 2, 14.0, 14.1)
+        for k in range(20, 300):
+            stamp_ns = zero_ns + k * 50_000_000
+            recorder.put(
+                topic, f"shoal/{topic.key()}", Header(session, k + 1, stamp_ns), encode(message), stamp_ns + 2_000_000
+            )
     put(1, "agent-1", 5, 7.0, 10.1)
     put(1, "agent-1", 6, 14.0, 14.1)
     put(7, "groundstation", 2, 14.2, 14.201)
@@ -323,6 +336,8 @@ def test_a_line_of_an_earlier_run_is_shown_at_its_own_time(tmp_path: Path, behin
         notes = {note["text"]: note["time_s"] for note in backend.notes()}
     expected = {"groundstation at 0": 0.0, "agent-1 at -3600": -3600.0, "agent-1 at -20": -20.0, "agent-1 at 0.7": 0.9}
     expected |= {"agent-1 at 7": 7.0, "agent-1 at 14": 14.1, "groundstation at 14.2": 14.2}
+    for source in ("sim-bridge", "localizer"):
+        expected |= {f"{source} at -30": -30.0, f"{source} at 14": 14.1}
     assert notes == pytest.approx(expected, abs=0.01)
 
 

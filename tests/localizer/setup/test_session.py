@@ -293,6 +293,22 @@ def test_a_camera_that_is_unplugged_is_told_and_the_work_goes_on_when_it_is_back
         stop.request()
 
 
+def test_a_recording_that_is_over_leaves_its_last_picture_to_work_on(file: Path) -> None:
+    """As trouble it would darken the picture that the grid lies on, and cover its lower edge."""
+
+    class ShortRecording(UnpluggedOnce):
+        def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+            yield CapturedFrame(pool_picture(), 0, 0, 10**9)
+            self.trouble = "no picture for 0.1 s"
+            yield None
+
+    session, stop = begin(file), Stop(install=False)
+    with closing(CameraFeed(ShortRecording(), session, stop)):
+        assert eventually(lambda: "the recording is over; its last picture stays" in session.state(1)["said"], 60.0)
+        assert session.state(1)["trouble"] == ""
+        stop.request()
+
+
 # --- files
 
 

@@ -13,7 +13,7 @@ from robot_agent.control.baselines import lqr
 from robot_agent.control.baselines.adaptive_nn import AdaptiveNn
 from robot_agent.control.baselines.backstepping import Backstepping
 from robot_agent.control.baselines.feedback import FeedbackLaw
-from robot_agent.control.baselines.fuzzy import PEAKS, verdict
+from robot_agent.control.baselines.fuzzy import PEAKS, rule_output
 from robot_agent.control.baselines.pid import Pid
 from robot_agent.control.baselines.sliding_mode import SlidingMode
 from robot_agent.control.baselines.tracking_errors import Axes, TrackingErrors, tracking_errors
@@ -217,14 +217,14 @@ def test_sliding_mode_reaches_its_surface_in_time_and_stays() -> None:
     assert np.abs(surface[-1000:, 0]).max() <= layer[0]
 
 
-def test_fuzzy_verdicts_follow_the_rules() -> None:
+def test_fuzzy_outputs_follow_the_rules() -> None:
     for row, error in enumerate(PEAKS):
         for column, speed in enumerate(PEAKS):
-            share = verdict(error, speed)
+            share = rule_output(error, speed)
             assert share == PEAKS[min(max(row + column - 2, 0), 4)]
-            assert verdict(-error, -speed) == -share
+            assert rule_output(-error, -speed) == -share
     grid = np.linspace(-1.5, 1.5, 61)
-    table = np.array([[verdict(e, v) for v in grid] for e in grid])
+    table = np.array([[rule_output(e, v) for v in grid] for e in grid])
     assert np.all(np.diff(table, axis=0) >= -1e-12) and np.all(np.diff(table, axis=1) >= -1e-12)
     assert np.abs(table).max() == 1.0 and np.abs(np.diff(table, axis=0)).max() < 0.1  # no jumps
 

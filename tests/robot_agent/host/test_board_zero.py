@@ -1,6 +1,7 @@
 """A board and its computer that restart together: where the board took its depth zero, and who confirms it."""
 
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -97,15 +98,50 @@ def test_the_zero_is_in_doubt_where_the_board_alone_or_both_were_switched_on_aga
     assert life(tmp_path, boot, at_s, on_for_s, 0.0) == zero_m
 
 
-def test_a_robot_that_was_in_air_and_a_file_that_holds_nothing_raise_no_doubt(tmp_path: Path) -> None:
+def test_a_robot_that_was_in_air_and_a_folder_without_a_file_raise_no_doubt(tmp_path: Path) -> None:
     assert life(tmp_path, "one", 200.0, 100.0, 0.01) is None
     zero_m = life(tmp_path, "two", 40.0, 38.0, 0.0)
     assert zero_m is None or abs(zero_m) < RESTART_DEPTH_M
-    for text in ("", "[]", "{}", '{"boot": "one", "at_s": 1e999}', '{"boot": 1, "at_s": "x"}'):
-        (tmp_path / FILE).write_text(text)
-        assert life(tmp_path, "three", 40.0, 38.0, 0.0) is None
     assert BoardZero(None).note(Telemetry(board_ms=5)) is None
     assert life(tmp_path / "gone", "one", 40.0, 38.0, math.pi) is None
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"boot": "one", "at_s": 1e999}', '{"boot": 1, "at_s": "x"}', None])
+def test_with_a_file_that_cannot_be_read_a_robot_does_not_arm_until_a_person_confirms(
+    text: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The loss of power has cut it: the robot may be in the water."""
+    file = tmp_path / FILE
+    if text is None:
+        file.mkdir()  # as good as a disk that fails
+    else:
+        file.write_text(text)
+    doubt = "depth zero is in question"
+    for boot in ("second", "third"):  # a program that is started again has nothing confirmed
+        assert all(doubt in why for why in refusals(tmp_path, boot, 0.3, monkeypatch))
+    if text is None:
+        file.rmdir()
+        file.write_text("")
+    confirmed = refusals(tmp_path, "third", 0.3, monkeypatch, steps=7)
+    assert doubt in confirmed[0] and not any(doubt in why for why in confirmed[4:])
+    record = read_record(tmp_path)
+    assert record is not None and record.zero_m == 0.0
+    assert not any(doubt in why for why in refusals(tmp_path, "third", 0.3, monkeypatch))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to another user")
+def test_the_service_can_read_what_root_writes_into_its_folder(tmp_path: Path) -> None:
+    """A cautious user's umask goes with sudo."""
+    os.chown(tmp_path, 12345, 12346)
+    before = os.umask(0o077)
+    try:
+        zero_request.write_request(tmp_path / zero_request.FILE, in_air=False)
+        board_zero.write_record(tmp_path, board_zero.ZeroRecord("one", 1.0, 0.5, 0.0, 0.3), durable=False)
+    finally:
+        os.umask(before)
+    for name in (zero_request.FILE, FILE):
+        file = (tmp_path / name).stat()
+        assert (file.st_uid, file.st_gid, file.st_mode & 0o777) == (12345, 12346, 0o600)
 
 
 def test_the_file_follows_the_depth_in_steps_and_not_too_often(tmp_path: Path) -> None:

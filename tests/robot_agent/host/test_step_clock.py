@@ -25,8 +25,8 @@ def steps(arrivals_s: Iterable[float], until_s: float = LONG_S) -> Iterator[tupl
         now_s = max(due_s, newest_s or 0.0)  # what came before the step's place opened has been waiting
         if now_s > until_s:
             return
-        pace.stepped(now_s, newest_s if newest_s != taken_s else None)
-        pace.put_out(now_s - due_s)
+        pace.note_step(now_s, newest_s if newest_s != taken_s else None)
+        pace.count_lateness(now_s - due_s)
         taken_s = newest_s
         yield now_s, now_s - (newest_s if newest_s is not None else float("nan"))
     assert pace.missed == 0
@@ -75,9 +75,9 @@ def loop(takes_s: Iterable[float]) -> StepClock:
     for took_s in takes_s:
         due_s = pace.due_s(0.0)
         now_s = max(now_s, due_s)
-        pace.stepped(now_s, None)
+        pace.note_step(now_s, None)
         now_s += took_s
-        pace.put_out(now_s - due_s)
+        pace.count_lateness(now_s - due_s)
         if pace.late_steps * PERIOD_S >= LATE_S:
             break
     return pace
@@ -104,15 +104,15 @@ def test_a_loop_that_was_slow_for_a_minute_is_quick_again_within_a_second() -> N
     """Before the robot flies nothing stops a slow loop; once it flies, only how it runs now may."""
     pace = StepClock(PERIOD_S, 0.0)
     for _ in range(1200):
-        pace.put_out(0.1)
+        pace.count_lateness(0.1)
     assert pace.late_steps * PERIOD_S >= LATE_S
     for _ in range(20):
-        pace.put_out(0.004)
+        pace.count_lateness(0.004)
     assert (pace.missed, pace.late_steps * PERIOD_S < LATE_S) == (1200, True)
 
 
 def test_places_that_were_missed_are_left_out_and_the_grid_stays_where_it_was() -> None:
     pace = StepClock(PERIOD_S, 0.0)
-    pace.stepped(0.0, None)
-    pace.stepped(0.323, None)  # a step that was due at 0.05
+    pace.note_step(0.0, None)
+    pace.note_step(0.323, None)  # a step that was due at 0.05
     assert pace.due_s(0.0) == pytest.approx(0.35)

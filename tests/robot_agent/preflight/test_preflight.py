@@ -259,6 +259,47 @@ def test_check_shows_a_restart_and_a_zero_in_question_once_the_board_has_judged_
     assert says in board_line.detail and board_line.verdict is verdict, board_line.detail
 
 
+class Broken:
+    """A law of one's own that cannot be made."""
+
+    def __init__(self, *given: object) -> None:
+        raise ValueError("no gains")
+
+
+@pytest.mark.parametrize(
+    ("law", "says"),
+    [
+        ("nopackage:Law", "controller.law = 'nopackage:Law': No module named 'nopackage'"),
+        (f"{__name__}:Broken", "ValueError: no gains"),
+    ],
+)
+def test_a_law_of_ones_own_that_fails_is_a_finding_and_ends_no_check(
+    law: str, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_shell, "open_board_link", lambda board: (Autopilot(1), None))
+    settings = (f"controller.law={law}",)
+    board = AgentConfig(
+        robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9", settings=settings
+    )
+    findings = {finding.what: finding for finding in check_shell.run_preflight(board, None)}
+    step = findings["control step"]
+    assert step.verdict is CheckVerdict.FAIL and step.detail.startswith(says), step.detail
+    assert "autopilot" in findings["thruster board"].detail
+
+
+def test_check_says_of_a_depth_that_cannot_be_read_why_the_robot_will_not_arm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "depth-zero.json").write_text("")  # a loss of power has cut it
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    monkeypatch.setattr(check_shell, "open_board_link", lambda board: (Autopilot(1), None))
+    monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
+    board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
+    zero = {finding.what: finding for finding in check_shell.run_preflight(board, None)}["depth zero"]
+    assert zero.verdict is CheckVerdict.WARN and "depth-zero.json: holds no depth" in zero.detail, zero.detail
+    assert "confirm-zero" in zero.detail
+
+
 CHANGED = {"SLEW_US_S": 3e4, "CMD_AGE_MS": 300.0, "CRV02_N": -1.9, "BAT_WARN_V": 11.0, "THR_MAX_US": 1890.0}
 CHANGED_SAYS = (
     "the robot does not arm (`robot-agent params set` changes one): CMD_AGE_MS is 300 (experiment: 250), SLEW_US_S is 30000 "

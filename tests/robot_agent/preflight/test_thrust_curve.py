@@ -111,6 +111,21 @@ def test_command_prints_what_an_experiment_takes(tmp_path: Path) -> None:
     assert "none.csv" in str(missing.exception)
 
 
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("pulse_us,grams\n1100,-5 µg\n".encode("latin-1"), "scale.csv: cannot be read: 'utf-8' codec can't decode byte 0xb5"),
+        ("pulse_us,grams\n1100,-5\n".encode("utf-16"), "save it as CSV in UTF-8"),
+        (b"pulse_us,grams\n" + b"1" * 200_000 + b",3\n", "scale.csv: line 2: field larger than field limit"),
+    ],
+    ids=["latin-1", "utf-16", "one endless number"],
+)
+def test_a_file_that_is_no_table_is_refused_by_name(content: bytes, says: str, tmp_path: Path) -> None:
+    (tmp_path / "scale.csv").write_bytes(content)
+    result = CliRunner().invoke(cli, ["identify", "thrust", str(tmp_path / "scale.csv")])
+    assert isinstance(result.exception, ConfigError) and says in str(result.exception), result.output
+
+
 def test_a_board_that_tells_a_part_of_its_parameters_is_not_taken_for_one_with_a_shorter_curve(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -131,6 +131,28 @@ def off_the_path(aside_m: float) -> ControlOutput:
     return OUTPUT._replace(observation=observation(aside_m), control=control, is_free=True)
 
 
+def risen_m(seconds: float, fastest_mps: float) -> float:
+    """Way at a speed that rises for 2 s."""
+    return fastest_mps * (0.25 * max(min(seconds, 2.0), 0.0) ** 2 + max(seconds - 2.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("reference_mps", "follows_mps", "is_off"), [(0.2, 0.2, False), (0.0, 0.1, True), (0.2, 0.0, True), (-0.2, 0.0, True)]
+)
+def test_a_driven_robot_is_off_its_depth_if_it_does_not_follow(reference_mps: float, follows_mps: float, is_off: bool) -> None:
+    """A person's stick rises slowly, so that the reference never leaps; a robot that follows is a second behind."""
+    monitor = HealthMonitor(POOL)
+    for at_s in np.arange(0.0, 6.0, 0.05):
+        depth_m, before_m = (0.5 + risen_m(seconds, follows_mps) for seconds in (at_s - 1.0, at_s - 1.05))
+        eta = np.array([0.0, 0.0, depth_m, 0.0])
+        estimate = Estimate(eta=eta, nu=np.array([0.0, 0.0, (depth_m - before_m) / 0.05, 0.0]))
+        control = Control(eta_reference=np.array([0.0, 0.0, 0.5 + risen_m(at_s, reference_mps), 0.0]))
+        result = observation(0.0)._replace(estimate=estimate)
+        output = OUTPUT._replace(observation=result, control=control)
+        monitor.note_output(output, Mode.DRIVEN, NOW_NS + round(at_s * 1000.0) * MS)
+    assert monitor.health(WELL, False, NOW_NS).off_depth is is_off
+
+
 def test_a_robot_that_was_off_its_path_is_not_so_for_ever() -> None:
     monitor, now_ns = HealthMonitor(POOL), NOW_NS
 

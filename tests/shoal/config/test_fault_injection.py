@@ -36,7 +36,7 @@ def test_fault_texts_that_are_understood(text: str, meaning: Break) -> None:
 def test_each_thruster_of_a_vehicle_with_eight_can_break_and_no_ninth() -> None:
     experiment = load_experiment("pool", ["vehicle=vectored"], ["t=1 thruster 1/7 dead"])
     schedule = FaultSchedule(experiment)
-    schedule.at(2.0)
+    schedule.advance(2.0)
     assert schedule.actuators.thrust[0].tolist() == [1.0] * 6 + [0.0, 1.0]
     with pytest.raises(ConfigError, match="allowed: 1 to 8"):
         load_experiment("pool", ["vehicle=vectored"], ["t=1 thruster 1/9 dead"])

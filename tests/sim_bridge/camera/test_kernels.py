@@ -30,7 +30,7 @@ from sim_bridge.camera.kernels import (
 )
 from sim_bridge.camera.rays import CameraRays
 from sim_bridge.camera.scene import WaterView
-from sim_bridge.camera.water_optics import CAUSTIC_UNIT, Blend, RowLight, WaterLight, light_up
+from sim_bridge.camera.water_optics import CAUSTIC_UNIT, Blend, RowLight, WaterLight, blend_lit_view
 
 INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 
@@ -132,7 +132,7 @@ def test_a_picture_lies_between_two_of_each_loop() -> None:
     reach, raw = random.uniform(0.0, 1.0, (4, 6)).astype(np.float32), np.empty((7, 11), np.uint8)
     scratch = RowLight(*(np.empty(n, np.float32) for n in (6, 6, 12, 12)))
     views, glares = Blend(view, next_view, 0.3), Blend(glare, next_glare, 0.3)
-    light_up(views, glares, Blend(levels, next_levels, 0.8), reach, scratch, raw)
+    blend_lit_view(views, glares, Blend(levels, next_levels, 0.8), reach, scratch, raw)
     light = 1.0 + reach * ((0.2 * levels + 0.8 * next_levels) / CAUSTIC_UNIT - 1.0)
     pixels = np.ones((2, 2))
     lit = (0.7 * view + 0.3 * next_view) * np.kron(light, pixels)[:7, :11]

@@ -79,6 +79,15 @@ def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> N
         assert f"--port {link}: the board is in HIL mode" in str(examined.exception)
 
 
+def test_rules_that_need_thrust_are_not_left_out_by_a_person_who_is_not_ready(tmp_path: Path) -> None:
+    """After a no nothing says that the board passed: without thrust it was not tried as was asked for."""
+    link = f"serial:{tmp_path}/plug"
+    with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
+        examined = CliRunner().invoke(sim_bridge, ["board-conformance", "--port", link], input="n\n")
+    assert examined.exit_code != 0 and "passed" not in examined.output
+    assert "nothing was tried (allowed: with all hands away; --dry" in str(examined.exception)
+
+
 def test_bench_command_with_invalid_options_is_refused(tmp_path: Path) -> None:
     for name in ("", "SLÉW", "A_NAME_OF_17_CHAR"):
         assert "no parameter's name (allowed: 1 to 16 ASCII characters" in say("get", name)[1]

@@ -1,10 +1,12 @@
 """The pool on the wires, by the wall clock: what comes of every exposure."""
 
 import logging
+import re
 import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +22,14 @@ from shoal.config.experiment import load_experiment
 from shoal.config.fault_injection import BY_HAND
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode, encode
-from shoal.messages.messages import ALONE, Event, FaultRequest, Mode, RobotState
+from shoal.messages.messages import Event, FaultRequest, StationHeartbeat
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Failed, Stop, WallClock
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.in_process.resume import faults_by_hand
+from sim_bridge.in_process.resume import Moment, faults_by_hand
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
-from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World
 from tests.waiting import wait_for_line
 
@@ -88,7 +89,7 @@ def test_a_fault_by_hand_is_logged_in_words_that_repeat_it(tmp_path: Path, caplo
     for k, line in enumerate(lines, start=1):
         recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
     recorder.close()
-    repeated = [fault for _, fault in faults_by_hand(tmp_path)]
+    repeated = [fault for _, fault in faults_by_hand(tmp_path, Moment(0.0, 10**10, 10**10, 10**11))]
     # What ended before the start is told, and no fault of a flight from there on.
     assert f"{BY_HAND}before the start for=5 thruster 1/3 dead" in lines
     refused = [line for line in lines if line.startswith("a fault that cannot be made: ")]
@@ -151,26 +152,76 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
     assert all(water_ns - passed_ns <= 2 * 5_000_000 for water_ns, passed_ns in steps)
 
 
-@pytest.mark.long
-def test_faults_count_from_the_formations_start_and_not_from_a_lone_flight() -> None:
-    """Robot 1 was sent somewhere alone, 5 s ago. Later the formation has flown for 0.5 s."""
-    experiment = load_experiment("pool", [ROBOT, 'sim.faults=[{at_s=1.0,what="battery 1 sag 1"}]'])
-    hub = MemoryHub()
-    pool = PoolNode(
-        experiment, Bus(MemoryTransport(hub)), UdpPorts(free_base_port((1,)), (1,), 1), Stop(install=False), lockstep=False
-    )
-    world, robot = World(experiment, 1, np.array([[0.4, 0.0, 0.3, 0.0]]), ThrusterBoard), Bus(MemoryTransport(hub))
-    for k, (trajectory_id, trajectory_s, start_s) in enumerate(((f"{ALONE}there", 5.0, None), ("formation", 0.5, 9.5))):
-        stamp_ns = 10_000_000_000 + k
-        robot.publish(
-            topics.STATE, RobotState(Mode.TRACKING, trajectory_id=trajectory_id, trajectory_s=trajectory_s), stamp_ns, 1
-        )
-        # the instant from which faults count is the world's, which no message shows; it is looked for at each exposure
-        received = pool._states[1].newest()
-        assert received is not None
-        # the plant's time 0 was 10 s before
-        pool._detect_start(world, pool._clock.instant_ns(received) - 10_000_000_000)
-        assert world.start_ns == (None if start_s is None else round(start_s * 1e9))
+@pytest.mark.timeout(60)
+def test_a_fault_by_hand_counts_from_the_newest_flight_of_the_session(caplog: pytest.LogCaptureFixture) -> None:
+    """Before any, in the first, after it, and in the second, as the station's heartbeats report them. The timeline's fault
+    comes in each."""
+    caplog.set_level(logging.INFO, "shoal")
+    experiment = load_experiment("pool", ["sim.latency_s=0", ROBOT, 'sim.faults=[{at_s=1.0,what="imu 1 gyro 0.1"}]'])
+    hub, stop, lines = MemoryHub(), Stop(install=False), list[str]()
+    station, clock = Bus(MemoryTransport(hub)), WallClock()
+    ahead_ns = 5_000_000_000_000  # of the station's clock: nothing depends on it
+    flown_s = iter((None, 10.0, None, 0.5))  # of the newest flight, or none
+
+    def ask() -> None:
+        for begun_s in flown_s:
+            now_ns = clock.now_ns() + ahead_ns
+            began_ns = 0 if begun_s is None else now_ns - round(begun_s * 1e9)
+            station.publish(topics.HEARTBEAT, StationHeartbeat(began_ns=began_ns), now_ns)
+            time.sleep(0.3)  # exposures
+            station.publish(topics.FAULT, FaultRequest("battery 1 sag", 0.1), clock.now_ns())
+            time.sleep(0.3)
+        stop.request()
+
+    def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        lines.append(decode(Event, payload, key, topic.name).message)
+        if lines[-1] == "robots are in the water":
+            threading.Thread(target=ask).start()
+
+    station.subscribe(topics.EVENT, None, hear)
+    sockets = UdpPorts(free_base_port((1,)), (1,), experiment.seed)
+    PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
+    times = [re.search("(before the start|t=[0-9.]+) for=0.1 battery 1 sag", line) for line in lines]
+    first, *flights = [match[1] for match in times if match is not None]
+    assert first == "before the start"
+    assert [float(time_s[2:]) for time_s in flights] == pytest.approx([10.3, 10.9, 0.8], abs=0.2)
+    imu = [line for line in lines if "imu 1 gyro" in line]
+    assert imu == ["fault: imu 1 gyro 0.1", "fault over: imu 1 gyro 0.1", "fault: imu 1 gyro 0.1"]
+
+
+@pytest.mark.timeout(60)
+def test_a_fault_by_hand_counts_by_the_flights_time_after_a_standstill(caplog: pytest.LogCaptureFixture) -> None:
+    """The simulator was held up for a second, which the water has lost, and the robots' trajectories have not."""
+    caplog.set_level(logging.INFO, "shoal")
+    experiment = load_experiment("pool", ["sim.latency_s=0", ROBOT])
+    hub, stop, lines = MemoryHub(), Stop(install=False), list[str]()
+    station, clock = Bus(MemoryTransport(hub)), WallClock()
+    exposed, begun_ns = 0, clock.now_ns()
+
+    def stand_still(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        nonlocal exposed
+        exposed += 1
+        if exposed == 1:
+            station.publish(topics.HEARTBEAT, StationHeartbeat(began_ns=begun_ns), clock.now_ns())
+        elif exposed == 4:
+            time.sleep(1.0)
+        elif exposed == 8:
+            station.publish(topics.FAULT, FaultRequest("battery 1 sag"), clock.now_ns())
+
+    def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        lines.append(decode(Event, payload, key, topic.name).message)
+        if "by hand" in lines[-1]:
+            lines.append(f"{(clock.now_ns() - begun_ns) * 1e-9}")
+            stop.request()
+
+    station.subscribe(topics.TRUTH, None, stand_still)
+    station.subscribe(topics.EVENT, None, hear)
+    sockets = UdpPorts(free_base_port((1,)), (1,), experiment.seed)
+    PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
+    made = next(k for k, line in enumerate(lines) if "by hand" in line)
+    assert any("time skipped" in line for line in lines)
+    told_s = float(lines[made].removeprefix(f"{BY_HAND}t=").split()[0])
+    assert told_s == pytest.approx(float(lines[made + 1]), abs=0.2)
 
 
 class TickingClock:

@@ -36,6 +36,13 @@ def test_steps_that_come_out_the_same_round_a_gap_of_the_log_are_not_exact() -> 
     assert not again.exact
 
 
+def test_states_that_the_log_lacks_are_counted_in_words() -> None:
+    """As of a robot without a radio: else the exit code 1 would have no reason."""
+    again = compare(2, told(range(3)), told(range(5)), same_experiment=True)
+    assert not again.exact
+    assert again.left_out == ("2 states of robot 2 are not in the log: it had no radio, or they were lost",)
+
+
 def test_a_plan_that_the_log_lost_is_named_and_is_no_difference() -> None:
     lost_ns = 3
     before, after = StepOutputs(), StepOutputs()

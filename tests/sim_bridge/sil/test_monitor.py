@@ -80,6 +80,21 @@ def test_the_planned_end_of_a_flight_is_told_by_the_clock_beside_it() -> None:
     ):
         robots.publish(topics.HEARTBEAT, StationHeartbeat(mission=mission, flight_s=flight_s, began_ns=10**9), 41 * 10**9)
         assert shown in monitor.line()
+    for mission in ("STOPPED", "WAITING", "DONE"):  # nothing flies: the clock stands, and does not run past the planned end
+        robots.publish(topics.HEARTBEAT, StationHeartbeat(mission=mission, flight_s=120.0, began_ns=10**9), 401 * 10**9)
+        assert "40.0 / 146 s" in monitor.line()
+
+
+def test_a_robot_that_is_led_alone_puts_off_no_end() -> None:
+    """Robot 2 left the formation after 30 s: its clock along the formation's trajectory stands; that of robot 1 goes on."""
+    hub = MemoryHub()
+    robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
+    for led, time_s in ((Mode.DRIVEN, 50), (Mode.HOLDING, 70)):
+        robots.publish(topics.STATE, RobotState(Mode.TRACKING, trajectory_id="p", trajectory_s=float(time_s)), 1, 1)
+        robots.publish(topics.STATE, RobotState(led, trajectory_id="p", trajectory_s=30.0), 1, 2)
+        beat = StationHeartbeat(mission="DEGRADED", flight_s=120.0, began_ns=10**9)
+        robots.publish(topics.HEARTBEAT, beat, (time_s + 1) * 10**9)
+        assert f"{time_s:.1f} / 120 s" in monitor.line()
 
 
 def test_time_flown_is_the_formations_and_not_that_of_a_flight_alone() -> None:

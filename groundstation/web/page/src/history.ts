@@ -4,7 +4,7 @@
 import { began, since } from "./clock";
 import { fieldOf, valueAt } from "./fields";
 import type { RobotState } from "./messages";
-import { isAlone, onSamples, type Sample, scene, shown } from "./store";
+import { isAlone, isLocated, onSamples, type Sample, scene, shown } from "./store";
 import type { Scene } from "./wire";
 
 const ROW_S = 0.1;
@@ -68,13 +68,14 @@ function heard(sample: Sample, id: number) {
 
 function tracking(sample: Sample, id: number): number | null {
   const robot = heard(sample, id);
-  if (robot?.news.state?.mode !== "TRACKING") return null;
+  if (robot?.news.state?.mode !== "TRACKING" || !isLocated(robot)) return null;
   return 1e3 * Math.hypot(robot.eta[0]! - robot.reference[0]!, robot.eta[1]! - robot.reference[1]!, robot.eta[2]! - robot.reference[2]!);
 }
 
 function formation(sample: Sample, a: number, b: number): number | null {
   const [p, q] = [heard(sample, a), heard(sample, b)];
   if (p?.news.state?.mode !== "TRACKING" || q?.news.state?.mode !== "TRACKING") return null;
+  if (!isLocated(p) || !isLocated(q)) return null;
   if (isAlone(p.news.state) || isAlone(q.news.state)) return null; // they are in no formation
   const off = [0, 1, 2].map((k) => p.eta[k]! - q.eta[k]! - p.reference[k]! + q.reference[k]!);
   return 1e3 * Math.hypot(off[0]!, off[1]!, off[2]!);

@@ -149,6 +149,11 @@ function unpack(news: PastState["robots"][number]) {
 
 const NONE = new Float32Array(4);
 
+/** Whether a robot knows where it is: without an estimate its vectors are zeros that nothing may show. */
+export function isLocated(robot: { news: { state?: RobotState } } | undefined): boolean {
+  return (robot?.news.state?.estimate ?? null) !== null;
+}
+
 /** The vectors of a state. A robot without a goal is where it should be. */
 function numbers(state: RobotState | undefined) {
   const [estimate, control] = [state?.estimate, state?.control];

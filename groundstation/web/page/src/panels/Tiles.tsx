@@ -2,7 +2,7 @@
 
 import { robotColour } from "../colours";
 import type { RobotState } from "../messages";
-import { ageMs, alarms, choose, isChosen, isStale, live, now, scene, shown } from "../store";
+import { ageMs, alarms, choose, isChosen, isLocated, isStale, live, now, type Robot, scene, shown } from "../store";
 import type { RobotNews, Scene } from "../wire";
 
 const MARK: Record<string, string> = { DISARMED: "○", ARMED: "◐", TRACKING: "▶", HOLDING: "❚❚", STOPPED: "■", FAULT: "✕", DRIVEN: "✥" };
@@ -31,10 +31,16 @@ function rank(robot: RobotNews, atMs: number): number {
   return known.shown;
 }
 
+/** A robot's own estimate of where it is and how it moves; null while it has none. */
+function located(id: number): Robot | null {
+  const robot = live.robots.get(id);
+  return robot !== undefined && isLocated(robot) ? robot : null;
+}
+
 /** Distance from where the robot should be: on its path, or at the place that it holds. */
 function errorMm(id: number): number | null {
-  const robot = live.robots.get(id);
-  if (!["TRACKING", "HOLDING"].includes(robot?.news.state?.mode ?? "") || robot === undefined) return null;
+  const robot = located(id);
+  if (robot === null || !["TRACKING", "HOLDING"].includes(robot.news.state?.mode ?? "")) return null;
   return 1e3 * Math.hypot(...[0, 1, 2].map((k) => robot.eta[k]! - robot.reference[k]!));
 }
 
@@ -43,14 +49,20 @@ function age(ms: number | null): string {
 }
 
 /** 0 to 359: a robot's own heading counts its turns. */
-function degrees(radians: number | undefined): string {
-  return radians === undefined ? "-" : String(((Math.round((radians * 180) / Math.PI) % 360) + 360) % 360);
+function heading(id: number): string {
+  const yaw = located(id)?.eta[3];
+  return yaw === undefined ? "-" : `${((Math.round((yaw * 180) / Math.PI) % 360) + 360) % 360}°`;
 }
 
 /** Through the water's plane, by the robot's own estimate. */
 function speed(id: number): string {
-  const nu = live.robots.get(id)?.nu;
-  return nu === undefined ? "-" : Math.hypot(nu[0]!, nu[1]!).toFixed(3);
+  const nu = located(id)?.nu;
+  return nu === undefined ? "-" : `${Math.hypot(nu[0]!, nu[1]!).toFixed(3)} m/s`;
+}
+
+function depth(id: number): string {
+  const z = located(id)?.eta[2];
+  return z === undefined ? "-" : `${z.toFixed(2)} m`;
 }
 
 /** The mode, and along a path what decides the motion: "tracking, giving way"; with little room that alone. */
@@ -76,11 +88,11 @@ function Fact({ name, value, bad }: { name: string; value: string; bad?: boolean
 /** How a robot moves, in a line: beside what it is driven with, for its tile may be out of sight. */
 export function Motion({ robot }: { robot: RobotNews }) {
   now.value;
-  const [state, eta] = [robot.state, live.robots.get(robot.id)?.eta];
+  const state = robot.state;
   if (state === undefined || isStale(robot, live.sentMs)) return <p class="reason">not heard</p>;
   return (
     <p class="motion">
-      {doing(state, false)}: {speed(robot.id)} m/s, depth {eta?.[2]?.toFixed(2) ?? "-"} m, yaw {degrees(eta?.[3])}°, pose {state.track.toLowerCase()} {age(state.timing.pose_age_ms)}
+      {doing(state, false)}: {speed(robot.id)}, depth {depth(robot.id)}, yaw {heading(robot.id)}, pose {state.track.toLowerCase()} {age(state.timing.pose_age_ms)}
     </p>
   );
 }
@@ -116,9 +128,9 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
         <dl>
           <Fact name={state.mode === "HOLDING" ? "from its place" : "error"} value={mm === null ? "-" : `${mm.toFixed(mm < 10 ? 1 : 0)} mm`} />
           <Fact name="pose" value={`${state.track.toLowerCase()} ${age(state.timing.pose_age_ms)}`} bad={state.track === "LOST" || state.track === "COAST"} />
-          <Fact name="depth" value={`${live.robots.get(robot.id)?.eta[2]?.toFixed(2) ?? "-"} m`} />
-          <Fact name="yaw" value={`${degrees(live.robots.get(robot.id)?.eta[3])}°`} />
-          <Fact name="speed" value={`${speed(robot.id)} m/s`} />
+          <Fact name="depth" value={depth(robot.id)} />
+          <Fact name="yaw" value={heading(robot.id)} />
+          <Fact name="speed" value={speed(robot.id)} />
           <Fact name="step" value={`${(state.timing.step_us / 1e3).toFixed(1)} ms`} bad={s.mode !== "lockstep" && state.timing.step_us > 500e3 * s.period_s} />
           <Fact name="battery" value={board ? `${board.battery_v.toFixed(1)} V` : "-"} bad={board !== null && board.battery_v < battery[2]} />
           <Fact name="board loss" value={board ? `${(100 * board.loss).toFixed(0)} %` : "-"} bad={board !== null && board.loss > 0.05} />

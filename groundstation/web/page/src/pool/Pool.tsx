@@ -6,7 +6,7 @@ import { css, robotColour } from "../colours";
 import { drafting } from "../panels/OtherFlight";
 import { drawEdit, editDrag, editDrop, editGrab } from "../editor/canvas";
 import { chooseCamera } from "../link";
-import { camera, choose, drawSoon, drafted, drawWith, editing, live, now, pictureAgeMs, scene, selected, shown } from "../store";
+import { camera, choose, drawSoon, drafted, drawWith, editing, isLocated, live, now, pictureAgeMs, scene, selected, shown } from "../store";
 import { drawPool } from "./draw";
 import { follow, LAYERS, type Layer, layers, toggle } from "./layers";
 import { addPlace, drawPlaces, places } from "./places";
@@ -56,7 +56,7 @@ function place(canvas: HTMLCanvasElement): void {
 
 function followSelected(): void {
   const chosen = live.robots.get(selected.peek());
-  const robots = chosen !== undefined ? [chosen] : [...live.robots.values()];
+  const robots = (chosen !== undefined ? [chosen] : [...live.robots.values()]).filter(isLocated);
   if (!follow.peek() || robots.length === 0) return;
   view.x = robots.reduce((sum, robot) => sum + robot.eta[0]!, 0) / robots.length;
   view.y = robots.reduce((sum, robot) => sum + robot.eta[1]!, 0) / robots.length;
@@ -67,7 +67,7 @@ function pick(px: number, py: number): number {
   if (s === null) return 0;
   for (const [id, robot] of live.robots) {
     const [x, y] = view.toScreen(robot.eta[0]!, robot.eta[1]!);
-    if (robot.news.state && Math.hypot(px - x, py - y) < Math.max(14, s.hull_m * view.scale)) return id;
+    if (isLocated(robot) && Math.hypot(px - x, py - y) < Math.max(14, s.hull_m * view.scale)) return id;
   }
   return 0;
 }

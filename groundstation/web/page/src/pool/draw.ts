@@ -2,7 +2,7 @@
 
 import { css, robotColour } from "../colours";
 import type { Robot } from "../store";
-import { isStale, live, scene } from "../store";
+import { isLocated, isStale, live, scene } from "../store";
 import type { Scene } from "../wire";
 import { floats } from "../wire";
 import { drawGround } from "./ground";
@@ -70,7 +70,7 @@ function drawObstacles(pen: Pen, view: View): void {
 
 function fresh(id: number): Robot | null {
   const robot = live.robots.get(id);
-  return robot !== undefined && !isStale(robot.news, robot.sentMs) ? robot : null;
+  return robot !== undefined && isLocated(robot) && !isStale(robot.news, robot.sentMs) ? robot : null;
 }
 
 function drawLinks(pen: Pen, view: View, s: Scene): void {

@@ -2,7 +2,7 @@
 
 import { css, robotColour } from "../colours";
 import type { Robot } from "../store";
-import { ageMs, isStale, isChosen } from "../store";
+import { ageMs, isChosen, isLocated, isStale } from "../store";
 import type { Scene } from "../wire";
 import { trailsUntil_s } from "./ground";
 import { layers } from "./layers";
@@ -23,7 +23,7 @@ export function drawRobot(pen: Pen, view: View, s: Scene, robot: Robot, place: n
   pen.save();
   if (stale) pen.globalAlpha = 0.6;
   if (on.trails) drawTrailEnd(pen, view, robot, colour);
-  const located = robot.news.state!.estimate !== null && robot.news.state!.timing.pose_age_ms !== null;
+  const located = isLocated(robot) && robot.news.state!.timing.pose_age_ms !== null;
   if (!located) {
     pen.restore();
     return;
@@ -62,7 +62,7 @@ function drawTrailEnd(pen: Pen, view: View, robot: Robot, colour: string): void 
   pen.lineWidth = 2.5;
   pen.beginPath();
   for (; k < trail.t.length; k++) pen.lineTo(view.px(trail.x[k]!), view.py(trail.y[k]!));
-  pen.lineTo(view.px(robot.eta[0]!), view.py(robot.eta[1]!));
+  if (isLocated(robot)) pen.lineTo(view.px(robot.eta[0]!), view.py(robot.eta[1]!));
   pen.stroke();
   pen.globalAlpha = alpha;
 }

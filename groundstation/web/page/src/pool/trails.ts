@@ -1,6 +1,6 @@
 /** Where the robots have been: one minute, thinned by distance. */
 
-import { onSamples, type Sample, scene } from "../store";
+import { isLocated, onSamples, type Sample, scene } from "../store";
 
 const KEPT_S = 60;
 const APART_M = 0.004;
@@ -21,7 +21,7 @@ let lastS = 0;
 function add(sample: Sample): void {
   for (const [id, robot] of sample.robots) {
     const state = robot.news.state;
-    if (state === undefined || (state.timing.pose_age_ms ?? Infinity) > 500) continue;
+    if (state === undefined || !isLocated(robot) || (state.timing.pose_age_ms ?? Infinity) > 500) continue;
     let trail = trails.get(id);
     const last = trail === undefined ? -1 : trail.t.length - 1;
     if (trail === undefined || (last >= 0 && sample.time_s < trail.t[last]!)) {

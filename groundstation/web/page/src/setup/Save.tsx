@@ -25,7 +25,7 @@ export function Save() {
         </button>
       </h2>
       <p>
-        {keys.length === 0 ? "Nothing was changed yet in " : `Changes of ${keys.join(", ")} in `}
+        {keys.length === 0 ? "Nothing to save in " : `Changes of ${keys.join(", ")} in `}
         <code>{s.path}</code>
       </p>
       {lines.value.length > 0 && (

@@ -17,7 +17,7 @@ export async function stop(): Promise<void> {
   }, TOLD_WITHIN_MS);
   const answer = await ask<string>("stop");
   clearTimeout(late);
-  said.value = answer ?? "emergency stop: NOT HEARD, press again, or run groundstation stop";
+  said.value = answer === undefined ? "emergency stop: NOT HEARD, press again, or run groundstation stop" : `${answer} (at ${new Date().toTimeString().slice(0, 8)})`; // it stays there, and is old then
   asked = false;
 }
 

@@ -3,7 +3,7 @@
 import { css, robotColour } from "../colours";
 import { samples } from "../pool/path";
 import { trails } from "../pool/trails";
-import { drawSoon, isStale, live, scene } from "../store";
+import { drawSoon, isLocated, isStale, live, scene } from "../store";
 import type { Scene } from "../wire";
 import { ball, Gl, lookAt, type Matrix, multiply, nose, perspective, project, type Vector } from "./gl";
 
@@ -133,7 +133,7 @@ function drawRobot(gl: Gl, pen: CanvasRenderingContext2D, view: Matrix, s: Scene
   const colour = robotColour(place);
   const path = live.paths.find((p) => p.robot === id);
   if (path !== undefined) gl.line(rows(samples(path), 4), rgba(colour, 0.35));
-  if (robot?.news.state === undefined || robot.news.state.estimate === null || robot.news.state.timing.pose_age_ms === null) return;
+  if (robot?.news.state === undefined || !isLocated(robot) || robot.news.state.timing.pose_age_ms === null) return;
   const stale = isStale(robot.news, robot.sentMs);
   const solid = rgba(stale ? css("--stale") : colour);
   const [x, y, z, yaw] = [robot.eta[0]!, robot.eta[1]!, robot.eta[2]!, robot.eta[3]!];
