@@ -223,7 +223,9 @@ def _outcome(result: Result, series: Series) -> str:
 
 
 def _flown(series: Series) -> str:
-    return f"{series.flown_s:.1f} s of {series.asked_s:g} s flown" if series.started else "nothing was flown"
+    if not series.started:
+        return "nothing was flown"
+    return f"{min(series.flown_s, series.asked_s):.1f} s of {series.asked_s:g} s flown"  # the last step may lie behind the end
 
 
 def _stations_reason(series: Series) -> TimelineEvent | None:

@@ -116,10 +116,15 @@ class Cause:
     text: str
     time_s: float | None  # None for what only the whole run shows
     noticed_by: str
-    injected: str  # what the simulator had broken before, with its time; empty for nothing
+    injected: str  # what the simulator had broken before, with its time; without `time_s`, in the flight. Empty for nothing
     outcome: str  # what became of the run
     place: str = ""  # where the robot was, or the middle of the fleet
     sentence: str = ""  # all of it for people
+
+    @property
+    def injected_label(self) -> str:
+        """Name of `injected` for people. Nothing shows that an injection came before what was missed over the whole run."""
+        return "injected in the flight" if self.time_s is None else "injected before"
 
 
 @dataclass(frozen=True)

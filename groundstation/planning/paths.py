@@ -43,6 +43,10 @@ class Path(Protocol):
 
     def at(self, time_s: Array) -> PathState: ...
 
+    def share_at(self, time_s: float) -> float:
+        """Share of the path, by its own time, that lies behind at an instant; NaN for one that has no end."""
+        ...
+
 
 def curve_through(points: Array) -> tuple[Array, CubicSpline]:
     """Knots (n,) and natural cubic spline over chord length through points (n, 2), of which no two in a row are the same."""
@@ -74,6 +78,10 @@ class CirclePath:
             yaw_acceleration_radps2=zero,
             climb_rad=zero,
         )
+
+    def share_at(self, time_s: float) -> float:
+        """See `Path`: a circle goes on for ever."""
+        return float("nan")
 
 
 class SplinePath:
@@ -134,6 +142,10 @@ class SplinePath:
 
     def at(self, time_s: Array) -> PathState:
         return self._stopped(time_s) if self._stops else self._moving(time_s)
+
+    def share_at(self, time_s: float) -> float:
+        """See `Path`."""
+        return min(time_s / self._duration_s, 1.0)
 
     def _stopped(self, time_s: Array) -> PathState:
         """Motion along the path that is at rest from the last waypoint on."""

@@ -6,7 +6,7 @@ starts = start_poses(experiment, trajectories)      # where each robot is put in
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -15,6 +15,7 @@ from groundstation.planning.feasibility import (
     TOLERANCE,
     OutOfTime,
     PlanError,
+    PlanFigure,
     check_time,
     figures,
     never,
@@ -30,7 +31,7 @@ from groundstation.planning.route_planner import candidate_routes
 from groundstation.planning.straight_sides import make_path
 from groundstation.planning.time_scaling import scale_time
 from shoal.config.experiment import Experiment
-from shoal.config.scene import PathSpec, RobotConfig, Route
+from shoal.config.scene import Circle, PathSpec, RobotConfig, Route
 from shoal.frames import Array
 from shoal.messages.codec import MAX_MESSAGE_BYTES
 from shoal.messages.messages import Trajectory
@@ -45,6 +46,7 @@ class FleetPlan:
 
     trajectories: dict[int, Trajectory]
     centre: Trajectory
+    flown: PlanFigure  # share of the centre's path that the run flies; not finite for a path that has no end
 
 
 def plan(experiment: Experiment) -> dict[int, Trajectory]:
@@ -78,12 +80,14 @@ def draft(experiment: Experiment, out_of_time: OutOfTime = never) -> tuple[Fleet
     paths = [experiment.path_of(robot) for robot in experiment.robots]
     motions: dict[int, NodeMotion] = {}
     centre: NodeMotion | None = None
+    share = PlanFigure("path flown", "%", np.nan, 100.0)
     for k, path in enumerate(paths):
         if path not in paths[:k]:
             group = [robot for robot, flies in zip(experiment.robots, paths, strict=True) if flies == path]
-            group_motions, middle = _group_motions(experiment, path, group, samples, out_of_time)
+            group_motions, middle, flown = _group_motions(experiment, path, group, samples, out_of_time)
             motions.update(group_motions)
-            centre = middle if centre is None or path == experiment.path else centre
+            if centre is None or path == experiment.path:
+                centre, share = middle, replace(share, value=100.0 * flown, least=not isinstance(path, Circle) and path.stop)
     motions = {robot: motions[robot] for robot in experiment.robot_ids}
     problems = [
         *robot_problems(experiment, motions, count, out_of_time=out_of_time),
@@ -91,19 +95,25 @@ def draft(experiment: Experiment, out_of_time: OutOfTime = never) -> tuple[Fleet
     ]
     assert centre is not None  # there is at least one robot
     trajectories = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
-    return FleetPlan(trajectories, trajectory(centre, period_s)), problems
+    return FleetPlan(trajectories, trajectory(centre, period_s), share), problems
 
 
 def description(experiment: Experiment) -> list[str]:
     """Lines that describe the plan before it is flown: starts, clearances, speeds and forces. Raises PlanError."""
-    trajectories = plan(experiment)
-    starts = start_poses(experiment, trajectories)
+    planned = plan_fleet(experiment)
+    starts = start_poses(experiment, planned.trajectories)
     lines = [
         f"robot {robot} starts at x {x_m:.2f}, y {y_m:.2f}, z {z_m:.2f} m, yaw {yaw_rad:.2f} rad"
         for robot, (x_m, y_m, z_m, yaw_rad) in starts.items()
     ]
     count = round(experiment.duration_s / experiment.controller.period_s) + 1
-    return lines + [str(figure) for figure in figures(experiment, trajectories, count)]
+    return lines + [str(figure) for figure in plan_figures(experiment, planned, count)]
+
+
+def plan_figures(experiment: Experiment, planned: FleetPlan, count: int) -> list[PlanFigure]:
+    """The share of the path that the run flies, where it has an end, and the figures of the robots' first `count` samples."""
+    share = [planned.flown] if np.isfinite(planned.flown.value) else []
+    return share + figures(experiment, planned.trajectories, count)
 
 
 def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[int, Array]:
@@ -133,9 +143,9 @@ def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) 
 
 def _group_motions(
     experiment: Experiment, spec: PathSpec, group: Sequence[RobotConfig], samples: int, out_of_time: OutOfTime
-) -> tuple[dict[int, NodeMotion], NodeMotion]:
-    """Motion of the robots on a path, and of its centre, at `samples` control periods from 0 on; slowed down where the robots
-    could not follow."""
+) -> tuple[dict[int, NodeMotion], NodeMotion, float]:
+    """Motion of the robots on a path, and of its centre, at `samples` control periods from 0 on, slowed down where the robots
+    could not follow; and the share of the path that they fly in the experiment's time."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     time_s = period_s * np.arange(samples, dtype=np.float64)
     ids = [robot.id for robot in group]
@@ -151,7 +161,8 @@ def _group_motions(
     if experiment.duration_s > path.end_s + period_s:
         raise PlanError(_path_too_short(experiment, path, group, nodes, time_s))
     centre = path.at(time_s)
-    return node_motions(experiment, centre, group, nodes), node_motion(centre, at_centre(samples), "translate", period_s)
+    middle = node_motion(centre, at_centre(samples), "translate", period_s)
+    return node_motions(experiment, centre, group, nodes), middle, path.share_at(experiment.duration_s)
 
 
 def _path_too_short(

@@ -1,8 +1,9 @@
 """Prioritized planning of transfers: all robots from rest to rest, clear of one another. Pure.
 
 Each robot has a transfer of its own (transfer.py) around islands and obstacles. Robots are planned one after the other. Each
-leaves as early as it stays clear of those planned before it, and of those not yet planned, which wait. Where no order of
-robots works (two stand on one another's goals), one first makes room.
+leaves as early as it stays clear of those planned before it, and of those not yet planned, which wait. Ways leave the room
+for which robots give way in flight (2R + WAY_ROOM_M). Where no order of robots works so, ways are 2R apart, and robots may
+give way on them; where none works then either (two stand on one another's goals), one first makes room.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,12 +14,14 @@ from groundstation.planning.feasibility import OutOfTime, PlanError, beyond_pict
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.route_planner import NoRoute
 from groundstation.planning.transfer import FreeSpace, Transfer, add_heading, free_space, is_free, join, pad, plan_transfer
+from shoal.config.controller import WAY_ROOM_M
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
 
 WAIT_STEP_S = 1.0
 LONGEST_WAIT_S = 120.0
 NEAR_M = 1e-3  # of the distance to keep: rounding
+TRACKED_M = 0.02  # robots fly that near to their transfers; farther off, they may have to give way
 ABSURD_M = 1.0  # a reported pose further outside twice the basin is refused,
 ABSURD_RAD = 1e4  # and so is a heading beyond this
 ORDERS = 6  # orders of the robots that are tried
@@ -61,14 +64,32 @@ def plan_transfers(
             raise PlanError(f"robot {robot} says that it is at ({rest[0]:.3g}, {rest[1]:.3g}, {rest[2]:.3g}) m")
         if not abs(rest[3]) <= ABSURD_RAD:  # true for NaN too
             raise PlanError(f"robot {robot} says that it heads {rest[3]:.3g} rad")
-    around = free_space(experiment, obstacles)
+    least_m, tries = 2.0 * experiment.safety.radius_m, _Tries(out_of_time)
     try:
-        transfers = _plan_all(experiment, around, dict(starts), dict(goals), MAKING_ROOM, _Tries(out_of_time))
+        try:  # so far apart that robots on these ways do not give way to one another
+            around = free_space(experiment, obstacles, least_m + WAY_ROOM_M + TRACKED_M)
+            transfers = _plan_in_sight(experiment, around, starts, goals, 0, tries)
+        except PlanError:
+            around = free_space(experiment, obstacles, least_m)
+            transfers = _plan_in_sight(experiment, around, starts, goals, MAKING_ROOM, tries)
     except _Exhausted as error:
         raise PlanError(f"no ways clear of one another have been found {error}") from None
+    return {robot: add_heading(transfer, float(starts[robot][3]), experiment) for robot, transfer in transfers.items()}
+
+
+def _plan_in_sight(
+    experiment: Experiment,
+    around: FreeSpace,
+    starts: Mapping[int, Array],
+    goals: Mapping[int, Array],
+    depth: int,
+    tries: _Tries,
+) -> dict[int, Transfer]:
+    """See `_plan_all`; in the camera's picture. Raises PlanError, and _Exhausted."""
+    transfers = _plan_all(experiment, around, dict(starts), dict(goals), depth, tries)
     for robot, transfer in transfers.items():
         _stays_in_sight(experiment, robot, transfer)
-    return {robot: add_heading(transfer, float(starts[robot][3]), experiment) for robot, transfer in transfers.items()}
+    return transfers
 
 
 def _stays_in_sight(experiment: Experiment, robot: int, transfer: Transfer) -> None:
@@ -127,7 +148,7 @@ def _places_to_make_room(
     experiment: Experiment, around: FreeSpace, starts: Mapping[int, Array], goals: Mapping[int, Array]
 ) -> Iterator[tuple[int, Array]]:
     """Robots that stand on another's goal, each with a place to make room at, near places first."""
-    keep_m = 2.0 * experiment.safety.radius_m
+    keep_m = around.apart_m
 
     def distances_m(place: Array, others: Iterable[Array]) -> list[float]:
         return [float(np.linalg.norm(other[:2] - place[:2])) for other in others]
@@ -186,12 +207,12 @@ def _earliest(
         except NoRoute as error:
             reasons.append(f"robot {robot}: {error}")
             continue
-        if _conflict(experiment, robot, transfer, starts, goals, {}, waiting):
+        if _conflict(around, robot, transfer, starts, goals, {}, waiting):
             reasons.append(f"robot {robot} would pass too near a robot that waits")
             continue
         for wait in range(round(LONGEST_WAIT_S / WAIT_STEP_S)):
             later = pad(transfer, wait * step, 0)
-            if not _conflict(experiment, robot, later, starts, goals, plans, {}):
+            if not _conflict(around, robot, later, starts, goals, plans, {}):
                 return later
             if wait * step > max(map(len, plans.values()), default=0):
                 break
@@ -200,7 +221,7 @@ def _earliest(
 
 
 def _conflict(
-    experiment: Experiment,
+    around: FreeSpace,
     robot: int,
     transfer: Transfer,
     starts: Mapping[int, Array],
@@ -213,12 +234,12 @@ def _conflict(
         length = max(len(transfer), len(plans[other]) if other in plans else 0)
         there = pad(plans[other], 0, length).position if other in plans else waiting[other][None, :3]
         apart_m = float(np.linalg.norm(pad(transfer, 0, length).position - there, axis=1).min())
-        if apart_m < _keep_m(experiment, starts, goals, robot, other):
+        if apart_m < _keep_m(around, starts, goals, robot, other):
             return True
     return False
 
 
-def _keep_m(experiment: Experiment, starts: Mapping[int, Array], goals: Mapping[int, Array], a: int, b: int) -> float:
-    """Distance in m that two robots keep: 2 R, or less where they rest nearer now or at the end."""
+def _keep_m(around: FreeSpace, starts: Mapping[int, Array], goals: Mapping[int, Array], a: int, b: int) -> float:
+    """Distance in m that two robots keep, less where they rest nearer now or at the end."""
     rests = (float(np.linalg.norm(places[a][:3] - places[b][:3])) for places in (starts, goals))
-    return min(2.0 * experiment.safety.radius_m, *rests) - NEAR_M
+    return min(around.apart_m, *rests) - NEAR_M

@@ -93,7 +93,12 @@ class StoppingPath:
         self._moves_s, self._turns, self._yaw = moves_s, turns, yaw
         self._from, self._ahead = points[:-1], sides / lengths[:, None]
         self._depth_m = path.depth_m
-        self.end_s = float("inf") if path.stop else float(self._begin_s[-1] + moves_s[-1])
+        self._duration_s = float(self._begin_s[-1] + moves_s[-1])
+        self.end_s = float("inf") if path.stop else self._duration_s
+
+    def share_at(self, time_s: float) -> float:
+        """See `Path`."""
+        return min(time_s / self._duration_s, 1.0)
 
     def at(self, time_s: Array) -> PathState:
         k = np.clip(np.searchsorted(self._begin_s, time_s, side="right") - 1, 0, len(self._begin_s) - 1)

@@ -48,6 +48,10 @@ class TimeScaledPath:
             climb_rad=at.climb_rad,
         )
 
+    def share_at(self, time_s: float) -> float:
+        """See `Path`."""
+        return self._path.share_at(float(self.warp(time_s)))
+
 
 def scale_time(path: Path, required_slowdown: SlowdownFunction, samples: int, period_s: float) -> TimeScaledPath:
     """Path at the highest rate found at which it is nowhere too fast for `samples` periods. Where even SLOWEST is too fast it

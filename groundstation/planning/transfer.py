@@ -43,20 +43,22 @@ class Transfer:
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """Space for a robot's centre: outside of discs (k, 3: x, y, radius), inside +-`half_m` of the basin, in m."""
+    """Space for a robot's centre: outside of discs (k, 3: x, y, radius), inside +-`half_m` of the basin, `apart_m` from the
+    centres of other robots, in m."""
 
     discs: Array
     half_m: tuple[float, float]
+    apart_m: float
 
 
-def free_space(experiment: Experiment, obstacles: Array) -> FreeSpace:
-    """Free space between walls, islands and obstacles (k, 3: x, y, distance to keep the centre at)."""
+def free_space(experiment: Experiment, obstacles: Array, apart_m: float) -> FreeSpace:
+    """Free space between walls, islands, obstacles (k, 3: x, y, distance to keep the centre at) and robots."""
     room_m = experiment.vehicle.radius_m + CLEAR_M
     islands = [(*island.position_m, island.radius_m + room_m) for island in experiment.islands]
     length, width, _ = experiment.pool.size_m
     walls = experiment.pool.walls
     half_m = (length / 2.0 - room_m, width / 2.0 - room_m) if walls else (math.inf, math.inf)
-    return FreeSpace(np.vstack([np.array(islands).reshape(-1, 3), obstacles.reshape(-1, 3)]), half_m)
+    return FreeSpace(np.vstack([np.array(islands).reshape(-1, 3), obstacles.reshape(-1, 3)]), half_m, apart_m)
 
 
 def is_free(place: Array, around: FreeSpace) -> bool:
@@ -80,7 +82,7 @@ def plan_transfer(
     period_s = experiment.controller.period_s
     if max(away_m, abs(rise_m)) < NEAR_M:
         return Transfer(start[None, :3].copy(), np.zeros((1, 3)), np.zeros((1, 3)))
-    path = _flat_path(experiment, around, start, goal, parked, out_of_time) if away_m >= NEAR_M else None
+    path = _flat_path(around, start, goal, parked, out_of_time) if away_m >= NEAR_M else None
     flat_m = path.length_m if path is not None else 0.0
     length_m = max(flat_m, abs(rise_m))
     limits = experiment.vehicle.limits
@@ -96,7 +98,6 @@ def plan_transfer(
 
 
 def _flat_path(
-    experiment: Experiment,
     around: FreeSpace,
     start: Array,
     goal: Array,
@@ -109,8 +110,7 @@ def _flat_path(
     free, and the basin is widened. Where the path has no room to bend at such an end, discs are shrunk by RIM_M more, and then
     the path first leads straight away.
     """
-    keep_m = 2.0 * experiment.safety.radius_m
-    parked_discs = np.array([(x, y, keep_m) for x, y, *_ in parked]).reshape(-1, 3)
+    parked_discs = np.array([(x, y, around.apart_m) for x, y, *_ in parked]).reshape(-1, 3)
     discs = np.vstack([around.discs, parked_discs])
     ends = start[:2], goal[:2]
     half_x_m, half_y_m = around.half_m

@@ -195,11 +195,13 @@ def _draw(kind: Kind, series: Series) -> Drawn:
 def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
     """Names and values of the report's table of facts about the run."""
     factor = result.real_time_factor
+    flown_s = result.flights[result.flight - 1].flown_s if result.flights else 0.0  # without the times of a hold
     names = {"scene", "seed", "mode", "experiment_hash", "hash", "version", "commit"}
     return [
         ("seed", str(result.seed)),
         ("mode", result.mode_text),
-        ("evaluated", f"{result.duration_s:.1f} s of {result.planned_duration_s:g} s"),
+        ("evaluated", f"{result.duration_s:.1f} s"),
+        *([("along the path", f"{flown_s:.1f} s of {result.planned_duration_s:.1f} s")] if result.flights else []),
         *([("flight", f"{result.flight} of {len(result.flights)}")] if len(result.flights) > 1 else []),
         ("speed", f"{three(factor)} × real time"),
         ("late control steps", f"{result.missed_deadlines} of {sum(r.control_steps for r in result.robots.values())}"),

@@ -17,7 +17,7 @@ def lines(result: Result) -> Iterator[str]:
         yield result.log_trouble
     if result.cause is not None:
         yield f"cause: {result.cause.sentence}"
-        yield f"  injected before: {result.cause.injected or 'nothing'}"
+        yield f"  {result.cause.injected_label}: {result.cause.injected or 'nothing'}"
         yield f"  outcome: {result.cause.outcome}"
     if not result.duration_s:
         yield "nothing was flown"

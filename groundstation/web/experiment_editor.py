@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,8 @@ from typing import Any
 import msgspec
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import OutOfTime, figures
+from groundstation.planning.feasibility import OutOfTime, PlanFigure, figures
+from groundstation.planning.planner import FleetPlan
 from groundstation.planning.segment import PlanSegment
 from groundstation.planning.straight_sides import make_path
 from groundstation.web.commented_file import commented
@@ -22,7 +23,7 @@ from shoal.config.formation_shapes import shape_nodes
 from shoal.config.loader import check, read_toml
 from shoal.config.scene import Waypoints
 from shoal.errors import ConfigError
-from shoal.messages.messages import CommandKind, Trajectory
+from shoal.messages.messages import CommandKind
 from shoal.runtime.output_files import replace_text
 
 EDITED_TITLE = ", edited"  # ends the title of what is no longer the experiment that it names
@@ -109,7 +110,7 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
         except ConfigError:
             shown |= _shown_as_far_as_planned(changed, out_of_time)
             raise
-        shown |= _shown(changed, drafted.trajectories)
+        shown |= _shown(changed, drafted)
         if not problems:
             planner.start_poses(changed, drafted.trajectories)
     except ConfigError as error:
@@ -174,17 +175,17 @@ def drafted(
         "ok": True,
         "problems": [],
         "paths": paths(segment.trajectories, flown),
-        "figures": _figures(experiment, segment.trajectories, flown),
+        "figures": _as_dicts(figures(experiment, segment.trajectories, flown)),
     }
 
 
-def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[str, Any]:
+def _shown(experiment: Experiment, planned: FleetPlan) -> dict[str, Any]:
     """A plan as the page gets it: paths, duration and figures."""
     flown = flown_samples(experiment)
     return {
-        "paths": paths(trajectories, flown),
+        "paths": paths(planned.trajectories, flown),
         "duration_s": experiment.duration_s,
-        "figures": _figures(experiment, trajectories, flown),
+        "figures": _as_dicts(planner.plan_figures(experiment, planned, flown)),
     }
 
 
@@ -196,12 +197,12 @@ def _shown_as_far_as_planned(experiment: Experiment, out_of_time: OutOfTime) -> 
             end_s = make_path(experiment.path).end_s
             period_s = experiment.controller.period_s
             ended = experiment.model_copy(update={"duration_s": min(experiment.duration_s, end_s // period_s * period_s)})
-            return _shown(ended, planner.draft(ended, out_of_time)[0].trajectories)
+            return _shown(ended, planner.draft(ended, out_of_time)[0])
     return {}
 
 
-def _figures(experiment: Experiment, trajectories: Mapping[int, Trajectory], flown: int) -> list[dict[str, Any]]:
-    return [dataclasses.asdict(figure) for figure in figures(experiment, trajectories, flown)]
+def _as_dicts(listed: list[PlanFigure]) -> list[dict[str, Any]]:
+    return [dataclasses.asdict(figure) for figure in listed]
 
 
 def save(experiment: Experiment, edit: Edit, name: str) -> dict[str, Any]:

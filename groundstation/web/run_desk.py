@@ -135,7 +135,7 @@ def run_end(folder: Path) -> dict[str, Any] | None:
             "verdict": result["verdict"],
             "cause": cause["sentence"] if cause else "",
             "outcome": cause["outcome"] if cause else "",
-            "injected": cause["injected"] if cause else "",
+            "injected": cause["injected"] if cause and cause["time_s"] is not None else "",  # the page says: before
             "notes": list(result["notes"]),
             "figures": _figures(result, checks),
             "requirements": [{"text": missed(check), "met": _met(check)} for check in checks],

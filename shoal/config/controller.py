@@ -31,6 +31,7 @@ Bandwidth = Annotated[float, Field(gt=0, le=50), LIVE]
 
 
 COAST_S = 1.0  # an estimate ends so long after its last pose: prediction alone is none any more
+WAY_ROOM_M = 0.12  # beyond 2R: robots give way to one that comes nearer; with 0.10 eight robots came to 0.619 m of 0.6
 COMMAND_AGE_S = 0.25  # CMD_AGE_MS of a thruster board as it comes (docs/board.md): without pulses for so long it disarms
 
 

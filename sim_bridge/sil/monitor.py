@@ -46,11 +46,11 @@ class Monitor:
         self._progress = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
-            TextColumn("{task.fields[since]} / {task.total:.0f} s"),
+            TextColumn("{task.fields[clock]}"),
             TextColumn("{task.fields[speed]}"),
             TimeElapsedColumn(),
         )
-        self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="", since="-")
+        self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="", clock="")
         self._flown_s, self._planned_s = 0.0, experiment.duration_s
         self._flew_s: float | None = None  # `time_s` when a flight was last under way
 
@@ -154,9 +154,8 @@ class Monitor:
     def render(self) -> RenderableType:
         """The table and the progress bar, now."""
         clock_s = self.clock_s
-        since = "-" if clock_s is None else f"{clock_s:.1f}"
-        flown_s = max(clock_s or 0.0, 0.0)
-        self._progress.update(self._task, completed=flown_s, total=self.planned_s, speed=self.pace, since=since)
+        flown_s, clock = max(clock_s or 0.0, 0.0), self._clock_text().strip()
+        self._progress.update(self._task, completed=flown_s, total=self.planned_s, speed=self.pace, clock=clock)
         table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
         for robot, inbox in self._states.items():
             received = inbox.newest()
@@ -181,11 +180,15 @@ class Monitor:
         else:
             robots = [f"{r} {s.mode.name.lower()} {_error(s)}{_remark(s)}" for r, s in states.items()]
         robots += [f"{robot} silent" for robot in silent]
-        clock_s = self.clock_s
-        since = "     -" if clock_s is None else f"{clock_s:6.1f}"
-        flown = f"{since} / {self.planned_s:.0f} s"
-        parts = [f"{flown}  {self.mission.lower():10s}", self.pace, self.reason or ", ".join(robots)]
+        parts = [f"{self._clock_text()}  {self.mission.lower():10s}", self.pace, self.reason or ", ".join(robots)]
         return "  ".join(part for part in parts if part)
+
+    def _clock_text(self) -> str:
+        """The flight's clock and its planned end; no end on the way home, of which heartbeats give none."""
+        clock_s, heartbeat = self.clock_s, self._heartbeat.newest()
+        since = "     -" if clock_s is None else f"{clock_s:6.1f}"
+        homeward = heartbeat is not None and clock_s is not None and heartbeat.message.flight_s <= 0.0
+        return f"{since} s" if homeward else f"{since} / {self.planned_s:.0f} s"
 
     def _silent(self, received: Received[RobotState]) -> bool:
         return self._time.age_s(received) > SILENT_S

@@ -91,6 +91,18 @@ def test_robot_driven_by_a_slowly_rising_stick_is_on_its_path(alone: DrivenFleet
     assert np.linalg.norm(driven[-1, 0, :2] - driven[-21, 0, :2]) == pytest.approx(0.3, rel=0.15)
 
 
+def test_robot_driven_again_begins_where_it_is(alone: DrivenFleet) -> None:
+    """The reference leads the robot; the lead of one drive is none of the next."""
+    alone.fly(2.0, first(DriveVelocity(surge_mps=-9.0, heave_mps=-0.1, yaw_rate_radps=0.5)))
+    assert alone.fleet.order(CommandKind.HOLD, 0).accepted
+    alone.fly(8.0)
+    assert alone.mode() is Mode.HOLDING
+    again = alone.fly(0.05, first(DriveVelocity()))
+    control = alone.fleet.robots[0].states[-1].control
+    assert alone.mode() is Mode.DRIVEN and control is not None
+    np.testing.assert_allclose(control.eta_reference, again[-1, 0], atol=0.02)
+
+
 @pytest.mark.parametrize("law", ["nmpc", "eso-mpc-article", "pid"])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_robot_that_a_slowly_rising_stick_takes_up_or_down_is_on_its_depth(law: str, sign: float) -> None:

@@ -130,7 +130,9 @@ def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browse
     assert len({len(row) for row in rows}) == 1 and rows[2][0] == "robot 1"
     name, table = saved("Save the table errors", "tex")
     assert b"\\begin{tabular}{l" in table and b"\\multicolumn" in table
-    assert table.count(b"\\\\") == len(rows)
+    assert table.startswith(b"% \\usepackage{booktabs}\n") and table.count(b"\\\\") == len(rows)
+    _, table = saved("Save the table requirements", "tex")
+    assert b"$\\checkmark$" in table and table.startswith(b"% \\usepackage{booktabs,amssymb}\n"), "all that the table needs"
     page.close()
 
 

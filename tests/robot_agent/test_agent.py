@@ -11,11 +11,12 @@ from groundstation.planning.segment import first_segment
 from robot_agent.agent import Agent
 from robot_agent.control.controller import ControlOutput
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
-from robot_agent.inputs import Inputs
-from robot_agent.preflight.rehearsal import ARM_AFTER, STATION, rehearse
+from robot_agent.inputs import Inputs, StationView
+from robot_agent.preflight.rehearsal import ARM_AFTER, DEPTH_M, RADIUS_M, SPEED_MPS, STATION, rehearse
 from shoal.config.experiment import load_experiment
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, CommandKind, Control, Mode, Solve, is_finite, required
+from shoal.messages.live_gains import tuned, tuning
+from shoal.messages.messages import Command, CommandKind, Control, Mode, Reply, Solve, Trajectory, is_finite, required
 
 NEUTRAL_US = (1500,) * 4
 POOL = load_experiment("pool")
@@ -157,6 +158,74 @@ def test_a_robot_that_has_fallen_silent_is_where_the_camera_sees_it(monkeypatch:
     assert abs(beliefs[400][0] - complex(*fresh.plans[2].plan.eta[0, :2])) < 0.1 and beliefs[400][2] == touching_m
 
 
+class OrderedRobot:
+    """A robot that tracks, steps on, and is given commands."""
+
+    def __init__(self) -> None:
+        self.steps = rehearse(POOL, 1)
+        self.number, self.board_armed = ARM_AFTER, True
+        for _ in range(ARM_AFTER + 20):
+            self.step()
+        assert self.state.mode is Mode.TRACKING
+
+    def step(self) -> None:
+        self.agent, inputs, self.now_ns = next(self.steps)
+        inputs = replace(inputs, board=replace(inputs.board, armed=inputs.board.armed and self.board_armed))
+        self.state = self.agent.step(inputs, self.now_ns).state
+
+    def give(self, order: CommandKind, **fields: Any) -> Reply:
+        """The reply to a command of the station of this moment; another step follows."""
+        self.number += 1
+        now: dict[str, Any] = {
+            "experiment_hash": self.state.experiment_hash,
+            "trajectory_id": "rehearsal",
+            "start_ns": self.now_ns,
+        }
+        header, station = Header(STATION, self.number, self.now_ns), StationView(STATION, self.now_ns, 0.0)
+        reply = self.agent.handle_command(header, Command(order, 1, **(now | fields)), station, self.now_ns)
+        self.step()
+        return reply
+
+
+@pytest.mark.parametrize("end", [CommandKind.DISARM, CommandKind.STOP])
+def test_gains_that_wait_for_a_later_lap_are_not_taken_in_the_next_run(end: CommandKind) -> None:
+    robot, ahead_s = OrderedRobot(), 3.0
+    flown_id, gains = robot.state.tuning_id, tuning(POOL.controller)
+    other = tuning(tuned(POOL.controller, {gains.keys[0]: 1.1 * float(gains.values[0])}))
+    assert robot.give(CommandKind.TUNE, tuning=other).accepted
+    assert robot.give(CommandKind.ADOPT, tuning_id=other.id, trajectory_s=ahead_s).accepted
+    robot.board_armed = False
+    for order in (end, *([CommandKind.CLEAR_STOP] if end is CommandKind.STOP else []), CommandKind.ARM):
+        assert robot.give(order).reason == ""
+    robot.board_armed = True
+    robot.step()
+    assert robot.give(CommandKind.START, trajectory_s=ahead_s - 0.5).reason == ""
+    for _ in range(30):
+        robot.step()
+    assert robot.state.mode is Mode.TRACKING
+    assert robot.state.tuning_id == flown_id
+
+
+def test_a_trajectory_that_was_loaded_for_later_is_forgotten_when_the_robot_holds() -> None:
+    robot, period_s, begin_s = OrderedRobot(), POOL.controller.period_s, 5.0
+    angle = np.arange(0.0, 60.0, period_s) * SPEED_MPS / RADIUS_M  # the circle that the rehearsal flies
+    x_m, y_m, depth_m = RADIUS_M * np.cos(angle), RADIUS_M * np.sin(angle), np.full_like(angle, DEPTH_M)
+    eta = np.column_stack([x_m, y_m, depth_m, angle + np.pi / 2.0])
+    velocity = np.gradient(eta, period_s, axis=0)
+    rows = slice(round(begin_s / period_s), None)
+    acceleration = np.gradient(velocity, period_s, axis=0)
+    later = Trajectory("later", period_s, eta[rows], velocity[rows], acceleration[rows], begin_s)
+
+    def load() -> Reply:
+        return robot.give(CommandKind.LOAD, trajectory=later, trajectory_id=later.id)
+
+    assert load().reason == ""
+    assert robot.give(CommandKind.HOLD).accepted
+    assert robot.give(CommandKind.RESUME, trajectory_s=1.0).accepted
+    assert robot.give(CommandKind.SWITCH, trajectory_id=later.id).reason == "trajectory later is not loaded"
+    assert load().accepted and robot.give(CommandKind.SWITCH, trajectory_id=later.id).accepted
+
+
 def test_a_silent_robot_that_the_camera_sees_counts_though_no_plan_of_it_ever_came(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its last plan came before this robot's program was started again."""
     steps, places, depths, keeps_m = rehearse(POOL, 1), list[complex](), list[float](), list[float]()
@@ -173,10 +242,8 @@ def test_a_silent_robot_that_the_camera_sees_counts_though_no_plan_of_it_ever_ca
         return real(measurement, goal, neighbours, at_ns, obstacles)
 
     monkeypatch.setattr(agent.controller, "step", step)
-    sightings, touching_m = (
-        {2: -1.5 - 0.5j, 1: 0j},
-        2.0 * POOL.safety.radius_m,
-    )  # and this robot itself, whose plans are not heard
+    touching_m = 2.0 * POOL.safety.radius_m
+    sightings = {2: -1.5 - 0.5j, 1: 0j}  # and this robot itself, whose plans are not heard
     for k, (_, fresh, at_ns) in enumerate(itertools.islice(steps, 60)):
         station = replace(fresh.station, sightings=sightings if k < 40 else {}, out=(2,) if k >= 50 else ())
         state = agent.step(replace(fresh, plans={}, station=station), at_ns).state

@@ -330,7 +330,7 @@
   const LONG = 48; // characters of a cell that gets lines
   const tex = (s) => Array.from(s, (c) => TEX[c] ?? c).join("");
 
-  /** A table as LaTeX for the package booktabs: numbers at the right, texts at the left, long ones in lines of their own. */
+  /** A table as LaTeX, with the packages that it needs: numbers at the right, texts at the left, long ones in lines of their own. */
   function latexOf(table) {
     const said = (cell) => tex(cell.innerText.replace(/\s+/g, " ").trim()).replace(/^\[/, "{[}"); // after a row's end it would be a length
     const row = (one) => [...one.cells].map((cell) => (cell.colSpan > 1 ? `\\multicolumn{${cell.colSpan}}{c}{${said(cell)}}` : said(cell))).join(" & ") + " \\\\";
@@ -343,10 +343,13 @@
       if (isLong(k)) return `p{${num(0.6 / long)}\\linewidth}`;
       return all.every((cell) => /left|start/.test(getComputedStyle(cell).textAlign)) ? "l" : "r";
     };
-    return ["% \\usepackage{booktabs}", `\\begin{tabular}{${Array.from({ length: count }, (_, k) => column(k)).join("")}}`, "\\toprule", ...head.map(row), "\\midrule", ...body.map(row), "\\bottomrule", "\\end{tabular}", ""].join("\n");
+    const rows = [...head.map(row), "\\midrule", ...body.map(row)];
+    const packages = ["booktabs", ...(rows.some((one) => one.includes("\\checkmark")) ? ["amssymb"] : [])];
+    return [`% \\usepackage{${packages.join(",")}}`, `\\begin{tabular}{${Array.from({ length: count }, (_, k) => column(k)).join("")}}`, "\\toprule", ...rows, "\\bottomrule", "\\end{tabular}", ""].join("\n");
   }
 
   function named(table) {
+    if (table.id) return table.id;
     let node = table;
     while (node && node !== document.body) {
       for (let before = node.previousElementSibling; before; before = before.previousElementSibling) {

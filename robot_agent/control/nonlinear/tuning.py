@@ -16,6 +16,7 @@ from robot_agent.control.nonlinear.program import InputLimits, Weights
 from robot_agent.guidance.velocity_obstacles import FASTEST_SHARE, Agility
 from robot_agent.vehicle.dynamics import loop_delay_s
 from robot_agent.vehicle.estimate import Deviations, Ratios
+from shoal.config.controller import WAY_ROOM_M
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
 
@@ -34,7 +35,6 @@ FACING_S = 1000.0  # for so long and longer flies stern first who does so at the
 END_SHARE = 2.0  # weight at the end: that of an error which fades at the bandwidth, twice
 CHANGE_SHARE = 0.3  # of the acceleration by full thrust: that of the point that goes around others
 RETURN_SHARE = 0.4  # of the place's bandwidth: the same point's way back, no overshoot
-ROOM_M = 0.12  # of the same point: with 0.10 eight robots came to 0.619 m of 0.6
 LOOK_AHEAD_S = 7.0  # of the same point: two robots at 0.1 m/s begin to turn 1.4 m before they would touch
 SLOWEST_RADPS = 0.2  # poses that say nothing for a while must not end the loop: an error then lasts 10 s
 MODEL_SHARE = 0.5  # of the observer's bandwidth of depth: with 0.7 a robot of half the mass swung up and down at 50 Hz
@@ -95,7 +95,7 @@ def agility(vehicle: Vehicle) -> Agility:
     mass, around_mps = vehicle.mass.surge_kg, FASTEST_SHARE * fastest_mps(vehicle)
     change_mps2 = CHANGE_SHARE * vehicle.limits.wrench[0] / mass
     quickness = cube_root(vehicle.limits.wrench_rate_per_s[0], mass, REACH_SHARE * vehicle.radius_m)
-    return Agility(ROOM_M, LOOK_AHEAD_S, around_mps, change_mps2, RETURN_SHARE * quickness, around_mps)
+    return Agility(WAY_ROOM_M, LOOK_AHEAD_S, around_mps, change_mps2, RETURN_SHARE * quickness, around_mps)
 
 
 def cube_root(rate: float, inertia: float, reach: float) -> float:

@@ -161,6 +161,17 @@ def test_a_hold_that_healed_is_the_cause_only_of_a_run_that_misses_nothing_else(
     assert result.cause is not None and result.cause.text.startswith("RMS error, whole run")
 
 
+def test_of_a_limit_that_the_whole_run_missed_no_injection_is_said_to_have_come_before(tmp_path: Path) -> None:
+    """The largest error came at 40 s, and "injected before" named a gust at 86 s."""
+    script = Script(duration_s=FLOWN_S, lines=((FLOWN_S - 0.5, "fault: water gust 0.05"),), settings=("limits.rms_m=0.001",))
+    result = judged(tmp_path, script)
+    assert result.cause is not None and result.cause.time_s is None
+    assert f"  injected in the flight: {result.cause.injected}" in list(terminal.lines(result))
+    assert "water gust" in result.cause.injected and "injected before" not in (tmp_path / "report.html").read_text()
+    shown = run_end(tmp_path)
+    assert shown is not None and shown["injected"] == ""
+
+
 def test_a_stop_after_the_end_of_the_path_is_no_cause(tmp_path: Path) -> None:
     result = judged(tmp_path, Script(duration_s=FLOWN_S, lines=((FLOWN_S + 0.2, "STOP asked for"),)))
     assert (result.passed, result.verdict, result.cause) == (True, "passed", None)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.planning.feasibility import PICTURE_MARGIN_M, PlanError, figures
-from groundstation.planning.planner import plan, start_poses
+from groundstation.planning.planner import description, plan, start_poses
 from robot_agent.guidance.trajectory_check import unflyable
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
@@ -337,3 +337,27 @@ def test_a_plan_that_can_be_flown_shows_no_figure_beyond_what_is_allowed(name: s
     for figure in figures(experiment, plan(experiment), round(experiment.duration_s / experiment.controller.period_s) + 1):
         over = figure.limit - figure.value if figure.least else figure.value - figure.limit
         assert over < 1e-6, figure
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (["duration_s=30"], "path flown 75.00 % (at most 100.00)"),
+        (["duration_s=30", "path.stop=true"], "path flown 75.00 % (at least 100.00)"),
+        (["duration_s=30", "path.stop=true", "path.slow=true"], "path flown 75.00 % (at least 100.00)"),
+        (["duration_s=60", "path.stop=true"], "path flown 100.00 % (at least 100.00)"),
+        (["duration_s=30", 'path.corner="round"'], "path flown 75.00 % (at most 100.00)"),
+        (["duration_s=30", 'path.corner="stop"'], "path flown 69.77 %"),  # 30 s of 43: from rest to rest
+    ],
+)
+def test_a_plan_shows_how_much_of_its_path_the_duration_allows(settings: list[str], says: str) -> None:
+    """4 m at 0.1 m/s. A path that was to stop at its end was flown for 120 s of 130 s, and its robots were disarmed on a side;
+    that it can be flown was all that a person had been shown."""
+    straight = '{kind="waypoints",points_m=[[-2,0],[2,0]],speed_mps=0.1,depth_m=0.5}'
+    room = ["pool.size_m=[9,8,1.5]", NO_CAMERA, f"path={straight}", "article=[]"]
+    lines = description(load_experiment("pool", [*room, *settings]))
+    assert [line for line in lines if line.startswith(says)], lines
+
+
+def test_a_path_without_an_end_shows_no_share_of_it() -> None:
+    assert not [line for line in description(pool()) if "path" in line]

@@ -14,9 +14,11 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.planner import start_poses
 from groundstation.planning.prioritized_planning import plan_transfers
-from groundstation.planning.rest_to_rest import plan_regroup
-from groundstation.planning.segment import BESIDE_M, first_segment
-from groundstation.planning.transfer import FreeSpace, Transfer, plan_transfer, s_curve_profile
+from groundstation.planning.rest_to_rest import keep_away, plan_regroup
+from groundstation.planning.route_planner import NoRoute
+from groundstation.planning.segment import BESIDE_M, first_segment, sample
+from groundstation.planning.transfer import FreeSpace, Transfer, free_space, plan_transfer, s_curve_profile
+from shoal.config.controller import WAY_ROOM_M
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.config.scene import Island
 from shoal.frames import Array
@@ -177,10 +179,9 @@ def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
     """From places of the pool run, among three things that the camera sees: no spline takes the corner in front of the goal.
     Anything but a reason would end the station, with its robots in the water."""
     experiment = load_experiment("pool")
-    rests = {
-        1: np.array([0.53692761, 0.06801661, 0.25018865, 2.48896894]),
-        2: np.array([-0.29450748, 0.15240046, 0.26044311, 2.37850454]),
-    }
+    rest = np.array([0.53692761, 0.06801661, 0.25018865, 2.48896894])
+    parked = np.array([-0.29450748, 0.15240046, 0.26044311, 2.37850454])
+    goal = sample(first_segment(experiment).trajectories[1], np.array([18.7])).eta[0]
     obstacles = np.array(
         [
             [2.0196855927151156, -0.9989661938522431, 0.1788811895480024],
@@ -188,8 +189,9 @@ def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
             [-0.5635884974798929, 1.2058292559251262, 0.24152648781989094],
         ]
     )
-    with pytest.raises(PlanError, match="robot 1"):
-        plan_regroup(experiment, first_segment(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, obstacles)
+    around = free_space(experiment, keep_away(experiment, obstacles), 0.6)
+    with pytest.raises(NoRoute, match="turns on the spot"):
+        plan_transfer(experiment, around, rest, goal, [parked])
 
 
 @pytest.mark.parametrize("scene", ["crossing-2", "crossing-4", "overtake", "swap"])
@@ -253,3 +255,22 @@ def test_a_way_that_leads_out_of_the_camera_s_picture_is_refused() -> None:
     plan_transfers(load_experiment("pool", ["pool.size_m=[8,8,1]", NO_CAMERA]), starts, goals, NO_OBSTACLES)
     open_water = experiment.model_copy(update={"islands": ()})
     plan_transfers(open_water, {1: pose(2.2, 0.0, 0.3)}, {1: pose(0.5, 0.0, 0.3)}, NO_OBSTACLES)
+
+
+def test_ways_leave_the_room_for_which_robots_give_way_in_flight() -> None:
+    """From a line into a triangle two ways came to 0.68 m, and robots gave way on the station's own plan."""
+    starts = {1: pose(-0.8, 0.0), 2: pose(0.0, 0.0), 3: pose(0.8, 0.0)}
+    goals = {1: pose(-0.4, 0.6), 2: pose(0.0, 0.6 + 0.4 * 3.0**0.5), 3: pose(0.4, 0.6)}
+    motions = plan_transfers(pool(), starts, goals, NO_OBSTACLES)
+    for a, b in combinations(motions, 2):
+        assert np.linalg.norm(motions[a].eta[:, :3] - motions[b].eta[:, :3], axis=1).min() > 0.6 + WAY_ROOM_M
+
+
+def test_ways_are_nearer_where_there_is_no_more_room() -> None:
+    """Past a robot that stays, between it and a wall: there is room for 2R, and for no more."""
+    starts = {1: pose(-1.2, 0.25), 2: pose(0.0, -0.28)}
+    goals = {1: pose(1.2, 0.25), 2: starts[2]}
+    experiment = pool(size_m=(4.0, 1.2, 2.0))
+    motions = plan_transfers(experiment, starts, goals, NO_OBSTACLES)
+    check(experiment, motions, starts, goals)
+    assert np.linalg.norm(motions[1].eta[:, :3] - motions[2].eta[:, :3], axis=1).min() < 0.6 + WAY_ROOM_M

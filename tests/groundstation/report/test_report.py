@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -29,6 +30,7 @@ from groundstation.report.report import write_report
 from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.config.simulation import Drifter
 from shoal.errors import ConfigError
+from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import Event, Mode
@@ -288,6 +290,77 @@ def test_tracking_figure_plots_the_errors(series: Series) -> None:
     assert figure.axes[-1].get_xlabel() == "time since the start [s]"
 
 
+def values_in(plot: TimePlot) -> list[dict[str, tuple[Array, Array]]]:
+    """Times and values of each panel's curves, by label, where there are any."""
+    panels = []
+    for panel in plot.panels:
+        shown = {line.label: (line.time_s, line.values, np.isfinite(line.values)) for line in panel.lines}
+        assert shown and all(there.mean() > 0.9 for *_, there in shown.values()), panel.label
+        panels.append({label: (time_s[there], values[there]) for label, (time_s, values, there) in shown.items()})
+    return panels
+
+
+def test_figures_of_errors_hold_those_of_the_run(series: Series) -> None:
+    def errors(robot: int, time_s: Array) -> Array:
+        return np.array([synthetic.tracking_error(robot, t) for t in time_s])
+
+    for axis, (panel, factor) in enumerate(
+        zip(values_in(figures_errors.formation_errors(series)), (1e3, 1e3, 1e3, np.degrees(1.0)), strict=True)
+    ):
+        time_s, values = panel["pair 1-2"]
+        expected = (errors(1, time_s) - errors(2, time_s))[:, axis] * factor
+        np.testing.assert_allclose(values, expected, atol=1.0)  # mm or deg
+    tangent, command = values_in(figures_errors.yaw(series))
+    place, heading = values_in(figures_errors.pose_error(series))
+    inner = slice(1, -1)  # at the ends the motion has a kink between two samples
+    for robot in (1, 2):
+        time_s, values = tangent[f"robot {robot}"]
+        np.testing.assert_allclose(values[inner], np.degrees(errors(robot, time_s)[inner, 3]), atol=0.02)
+        np.testing.assert_allclose(command[f"robot {robot}"][1][inner], np.degrees(synthetic.COMMAND_OFFSET_RAD), atol=0.02)
+        np.testing.assert_allclose(place[f"robot {robot}"][1][inner], 1e3 * np.hypot(*synthetic.POSE_OFFSET_M), atol=0.3)
+        np.testing.assert_allclose(heading[f"robot {robot}"][1][inner], np.degrees(0.002), atol=0.02)
+    plot = figures_errors.separation(series)
+    centres_m = {robot: series.robots[robot].reference[:, :3] + errors(robot, series.time_s)[:, :3] for robot in (1, 2)}
+    apart_mm = 1e3 * np.linalg.norm(centres_m[1] - centres_m[2], axis=1)
+    np.testing.assert_allclose(values_in(plot)[0]["pair 1-2"][1], apart_mm, atol=2.0)
+    assert plot.panels[0].floor == pytest.approx(2e3 * series.experiment.safety.radius_m)
+
+
+def test_figures_of_control_hold_what_the_robots_said(series: Series) -> None:
+    limits = series.experiment.limits.model_copy(update={"exposure_to_pwm_p99_ms": 80.0})
+    experiment = series.experiment.model_copy(update={"limits": limits})
+    series, step_s = replace(series, experiment=experiment), synthetic.PERIOD_S
+
+    def are(plot: TimePlot, expected: Callable[[int, Array, Array], Sequence[Any]], limits: Sequence[float | None]) -> None:
+        """Each panel has these values, by robot, time and number of the step."""
+        assert [panel.limit for panel in plot.panels] == [limit if limit is None else pytest.approx(limit) for limit in limits]
+        for axis, panel in enumerate(values_in(plot)):
+            for robot in (1, 2):
+                time_s, values = panel[f"robot {robot}"]
+                at = expected(robot, time_s, np.rint(time_s / step_s))[axis]
+                np.testing.assert_allclose(values, np.broadcast_to(at, values.shape), atol=2e-3)
+
+    def wrench(robot: int, t: Array, k: Array) -> Sequence[Any]:
+        return 0.3 * np.sin(t), 0.2, 0.05 * np.cos(t)
+
+    are(figures_control.inputs(series), wrench, experiment.vehicle.limits.wrench)
+    swing = {0.0: -0.03, 1.0: 0.03}
+    are(
+        figures_control.input_steps(series),
+        lambda robot, t, k: (np.array([swing[odd] for odd in k % 2.0]), 0.01, 0.02 * robot),
+        experiment.wrench_step,
+    )
+    are(figures_control.step_times(series), lambda robot, t, k: (200.0 + k % 100,), [0.5e6 * step_s])
+    are(figures_control.latency(series), lambda robot, t, k: (30.0 + k % 10,), [80.0])
+    ((time_s, took_ms),) = values_in(figures_control.frame_times(series))[0].values()
+    np.testing.assert_allclose(took_ms, 2.0 + 0.1 * (np.rint(time_s / step_s) % 7))
+    for panel, true, estimated in zip(
+        values_in(figures_control.disturbance(series)), (0.02, 0.01, 0.0, 0.05), (0.03, 0.01, 0.0, 0.05), strict=True
+    ):
+        np.testing.assert_allclose(panel["robot 2, true"][1], true)
+        np.testing.assert_allclose(panel["robot 2, estimated"][1], estimated)
+
+
 def test_the_figure_of_pulses_has_the_echoes_of_the_boards(series: Series) -> None:
     robot = next(iter(series.robots.values()))
     flown = robot.states.tracking
@@ -311,6 +384,39 @@ def test_a_ball_in_the_water_is_in_the_figure_of_paths_where_and_as_large_as_it_
     patches = drawn(picture(figures_paths.paths(crossed))).axes[0].patches
     discs = [patch for patch in patches if isinstance(patch, Circle) and patch.get_label() == "obstacle"]
     assert [[*np.ravel(disc.get_center()), disc.get_radius()] for disc in discs] == [[0.4, -0.2, 0.15]]
+
+
+def test_a_ball_that_drifts_has_its_way_until_the_end_in_the_figure_of_paths(series: Series) -> None:
+    from_s, velocity_mps = 2.0, (-0.05, 0.03, 0.0)
+    ball = Drifter(radius_m=0.15, start_m=(0.4, -0.2, 0.3), velocity_mps=velocity_mps, from_s=from_s)
+    late = Drifter(radius_m=0.1, start_m=(0.0, 0.0, 0.3), velocity_mps=velocity_mps, from_s=series.end_s + 1.0)
+    sim = series.experiment.sim.model_copy(update={"drifters": (ball, late)})
+    crossed = replace(series, experiment=series.experiment.model_copy(update={"sim": sim}))
+    axes = drawn(picture(figures_paths.paths(crossed))).axes[0]
+    assert [patch.get_radius() for patch in axes.patches if isinstance(patch, Circle) and patch.get_label() == "obstacle"] == [
+        0.15
+    ]
+    (way,) = (np.array(line.get_xydata(), dtype=np.float64) for line in axes.lines if line.get_linestyle() == ":")
+    lasts_s = series.end_s - from_s
+    assert way == pytest.approx(np.array([[0.4, -0.2], [0.4 - 0.05 * lasts_s, -0.2 + 0.03 * lasts_s]]))
+
+
+def test_robots_that_dive_are_drawn_in_space_with_depth_downwards(series: Series) -> None:
+    def diving(depth_m: float) -> Series:
+        robots = {}
+        for robot, r in series.robots.items():
+            deeper_m = np.zeros_like(r.reference)
+            deeper_m[:, 2] = np.linspace(0.0, depth_m, len(deeper_m))
+            robots[robot] = replace(r, reference=r.reference + deeper_m, truth=r.truth + deeper_m)
+        return replace(series, robots=robots)
+
+    assert figures_paths.space(diving(0.02)) is None  # seen from above it is all there
+    figure = picture(figures_paths.space(diving(0.5)))
+    assert figure is not None
+    (axes,) = figure.axes
+    shallow_m, deep_m = axes.get_zlim()  # type: ignore[attr-defined]  # mpl_toolkits ships no types
+    assert shallow_m > deep_m and shallow_m - deep_m > 0.5
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [f"robot {robot}" for robot in series.robots]
 
 
 def test_limits_are_drawn_when_near_and_told_when_far() -> None:

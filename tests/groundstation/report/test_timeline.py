@@ -11,7 +11,7 @@ import pytest
 
 from groundstation.analysis.alignment import align, hops_of, messages_lost
 from groundstation.analysis.metrics import evaluate
-from groundstation.analysis.series import HOPS, Series, active_limits
+from groundstation.analysis.series import HOPS, Series, TimelineEvent, active_limits
 from groundstation.logs.reader import DecodedMessage, RunLog, read_log
 from groundstation.report import figures_timeline as drawn
 from groundstation.report.drawing import BarPlot, TimePlot
@@ -148,6 +148,21 @@ def test_the_timeline_shows_every_mode_there_was(tmp_path: Path) -> None:
     shown = {text.get_text() for text in figure.legends[0].get_texts()}
     assert {"armed", "tracking", "holding", "noticed"} <= shown
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["robot 1", "robot 2", "faults"]
+
+
+def test_the_timeline_marks_what_was_broken_apart_from_what_was_noticed(flown: tuple[Series, Path]) -> None:
+    series, _ = flown
+    first_s = float(series.robots[1].states.time_s[0])
+    events = [
+        (2.0, "simulator", "fault: thruster 2/3 dead", False),
+        (3.0, "robot 2", "HOLDING: the pose is old", True),
+        (4.0, "simulator", "fault over: thruster 2/3 dead", False),
+        (5.0, "groundstation", "start", False),
+        (first_s - 1.0, "simulator", "fault: before anything was recorded", False),
+    ]
+    plot = drawn.timeline(replace(series, timeline_events=tuple(TimelineEvent(*event) for event in events)))
+    assert plot is not None
+    assert {meaning: list(times) for _, meaning, times in plot.marks} == {"noticed": [3.0], "injected, or over": [2.0, 4.0]}
 
 
 def test_a_run_with_nothing_in_it_draws_nothing(tmp_path: Path) -> None:

@@ -253,7 +253,7 @@ def test_everything_automatic_is_off_and_the_exposure_is_the_experiments(plug: P
     wanted = {
         cv2.CAP_PROP_FRAME_WIDTH: 1280, cv2.CAP_PROP_FRAME_HEIGHT: 960, cv2.CAP_PROP_FPS: 20.0,
         cv2.CAP_PROP_AUTO_EXPOSURE: 1, cv2.CAP_PROP_EXPOSURE: 80.0, cv2.CAP_PROP_AUTO_WB: 0, cv2.CAP_PROP_AUTOFOCUS: 0,
-        cv2.CAP_PROP_FOURCC: 0,
+        cv2.CAP_PROP_BACKLIGHT: 0, cv2.CAP_PROP_FOURCC: 0,
     }  # fmt: skip
     assert {key: plug.settings[key] for key in wanted} == wanted
 

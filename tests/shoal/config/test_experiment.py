@@ -489,6 +489,21 @@ def test_a_file_that_a_setting_names_is_looked_for_where_the_person_is(
     assert heavy.name == "mine" and heavy.mass.surge_kg == 13.0
 
 
+def test_a_file_that_a_setting_names_may_lie_beside_the_experiment_where_the_person_has_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle = load_experiment("pool").vehicle.model_dump(mode="json", exclude_none=True)
+    for folder in ("here", "beside"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "mine.toml").write_text(tomli_w.dumps(vehicle | {"name": folder}), encoding="utf-8")
+    scene = tmp_path / "beside" / "scene.toml"
+    scene.write_text(dump_experiment(load_experiment("numeric").model_copy(update={"name": "scene"})), encoding="utf-8")
+    monkeypatch.chdir(tmp_path / "here")
+    assert load_experiment(str(scene), ["vehicle=mine.toml"]).vehicle.name == "here"
+    (tmp_path / "here" / "mine.toml").unlink()
+    assert load_experiment(str(scene), ["vehicle=mine.toml"]).vehicle.name == "beside"
+
+
 def test_a_camera_has_no_shipped_names() -> None:
     with pytest.raises(ConfigError, match=r"--set camera=lab: camera = 'lab': must be a table, or a path ending in \.toml"):
         load_experiment("pool", ["camera=lab"])

@@ -97,6 +97,18 @@ def test_a_robot_that_is_led_alone_puts_off_no_end() -> None:
         assert f"{time_s:.1f} / 120 s" in monitor.line()
 
 
+def test_on_the_way_home_no_end_of_the_flight_before_is_shown() -> None:
+    """The terminal said "344.1 / 265 s returning", beside a page with 5:44 / 5:45."""
+    hub = MemoryHub()
+    robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
+    for mission, flight_s, shown in (("RUNNING", 120.0, " 40.0 / 120 s  running"), ("RETURNING", 0.0, " 40.0 s  returning")):
+        for robot in (1, 2):
+            robots.publish(topics.STATE, RobotState(Mode.TRACKING, trajectory_id="p", trajectory_s=40.0), 1, robot)
+        beat = StationHeartbeat(mission=mission, flight_s=flight_s, began_ns=10**9)
+        robots.publish(topics.HEARTBEAT, beat, 41 * 10**9)
+        assert shown in monitor.line()
+
+
 def test_time_flown_is_the_formations_and_not_that_of_a_flight_alone() -> None:
     """Faults of processes begin with it. Robot 1 is sent somewhere before the formation starts, and again later."""
     hub = MemoryHub()
