@@ -55,7 +55,6 @@ BEHIND_S = 1.0  # of the progress, after the slowest robot
 SIGHT_S = 1.0  # after which a robot that was blind, or had foreign poses, counts as well: late radio
 FORM_M = 0.02  # of a place in the formation
 LATE_S = 0.5  # beside the time after which a robot without its station holds by itself: late radio, and a cycle of each
-HOMEWARD_UNTIL = frozenset({CommandKind.START, CommandKind.LOAD, CommandKind.ARM, CommandKind.TEST, CommandKind.PATH})
 TRAVELS = frozenset({CommandKind.GO, CommandKind.RETURN, CommandKind.REJOIN, CommandKind.START})
 
 
@@ -120,7 +119,7 @@ class Invariants:
     flight: int = 0  # number of the path and run that the laps are of
     paused_s: float = 0.0
     waiting_gains_s: float = 0.0
-    homeward: bool = False  # people have asked for a return, and for no other flight since
+    homeward: bool = False  # people have asked for a return from rest, and for no other path since
     has_flown: bool = False  # a flight that is not the way home, since the last start
     flight_ended: MissionState | None = None  # how that flight did
     violated: bool = False
@@ -141,8 +140,10 @@ class Invariants:
         if order is CommandKind.FORMATION:
             ends = [trajectory.eta[-1, :2] for trajectory in self.pool.mission.segment.trajectories.values()]
             self.followed[number].offsets_m = offsets_asked_for(text, ends)
-        if order in HOMEWARD_UNTIL | {CommandKind.RETURN}:
-            self.homeward = order is CommandKind.RETURN
+        if order is CommandKind.RETURN and self.state in AT_REST:
+            self.homeward = True
+        elif order is CommandKind.PATH:
+            self.homeward = False
         if order is CommandKind.PATH:
             self.has_flown = False
         ends_a_run = self.pool.mission.state is MissionState.ENDING
@@ -371,7 +372,7 @@ class Invariants:
         self.lap_s = lap_s
 
     def the_way_home_is_flown_alone(self) -> None:
-        """After a RETURN robots fly nowhere but home, until somebody asks for another flight."""
+        """After a RETURN from rest robots fly nowhere but home, until somebody asks for another path."""
         mission = self.pool.mission
         self.homeward = self.homeward and mission.state not in AT_REST
         astray = self.homeward and mission.state in IN_FLIGHT and not mission.segment.is_return
@@ -417,6 +418,10 @@ class Invariants:
         followed, robots = self.followed[outcome.request], list(self.pool.robots.values())
         if outcome.order is CommandKind.STOP:
             return "all have stopped" if all(self._stays(r, Mode.STOPPED) for r in robots) else ""
+        if outcome.order is CommandKind.FORMATION:
+            # robots that rest set out for their new places, and these are as far from the old ones all the way
+            needless = "no way from here" in outcome.reason and any(each in outcome.reason for each in ("limit", "at once"))
+            return "a form taken at rest asks for no other motion" if needless else ""
         modes = CONFIRMS.get(CommandKind.HOLD if outcome.order is CommandKind.DRIVE else outcome.order)
         if not followed.only or not followed.alone or modes is None:
             return ""

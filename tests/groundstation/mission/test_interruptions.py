@@ -230,10 +230,11 @@ class Interruptions(RuleBasedStateMachine):
         self.die(k)
         self.pool.run(12.0)
 
-    @rule(who=st.sampled_from(PEOPLE), form=st.sampled_from(FORMS), k=st.integers(0, 2))
-    def take_form_on_the_way_home(self, who: str, form: str, k: int) -> None:
+    @rule(who=st.sampled_from(PEOPLE), form=st.sampled_from(FORMS))
+    def take_form_on_the_way_home(self, who: str, form: str) -> None:
         """A return that is held before it has its plan, and a form."""
-        self.arm_one(who, k)
+        for k in range(len(self.ids)):
+            self.arm_one(who, k)
         self.ask(who, CommandKind.RETURN, 0)
         self.pool.run(0.2)
         self.take_form(who, form, True)
