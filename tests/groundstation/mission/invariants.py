@@ -464,8 +464,8 @@ class Invariants:
             return self._never(active, Mode.TRACKING)
         if order is CommandKind.PATH and (other := self.pool.mission.plans.flown.name) != followed.text:
             return f"the path is that of {other}"
-        if order is CommandKind.FORMATION and (wrong := self._not_in_form(followed, active)):
-            return wrong
+        if order is CommandKind.FORMATION and (elsewhere := self._not_in_form(followed, active)):
+            return elsewhere
         if order in (CommandKind.PATH, CommandKind.FORMATION) and self.pool.mission.state in AT_REST:
             return ""
         if order in (CommandKind.GO, CommandKind.REJOIN, CommandKind.PATH, CommandKind.FORMATION):
