@@ -414,7 +414,8 @@ class Interruptions(RuleBasedStateMachine):
             if not robot.alive:
                 robot.restart(self.pool.now_ns)
             robot.radio.deaf_until_ns = robot.radio.mute_until_ns = 0
-            robot.blind_until_ns = robot.foreign_until_ns = 0
+            robot.blind_until_ns = min(robot.blind_until_ns, self.pool.now_ns)
+            robot.foreign_until_ns = min(robot.foreign_until_ns, self.pool.now_ns)
             robot.radio.delay_ns, robot.board_works, robot.speed_mps = 20_000_000, True, SPEED_MPS
 
     def leave(self) -> None:
