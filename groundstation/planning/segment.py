@@ -21,6 +21,7 @@ from shoal.messages.messages import Trajectory
 
 NO_OBSTACLES = np.zeros((0, 3))  # discs (k, 3: x, y, radius)
 BESIDE_M = 0.01  # nearer than at the ends of a transfer; less is rounding and noise of an obstacle's outline
+ON_GRID = 1e-6  # of a period: an instant so near to a sample's is that one, but for rounding
 LONGEST_WAIT = 36_000  # samples: half an hour at 20 Hz
 
 
@@ -68,7 +69,7 @@ def sample(trajectory: Trajectory, time_s: Array) -> NodeMotion:
     inside = np.clip(place, 0.0, len(rows) - 1)
     low = np.minimum(inside.astype(np.intp), len(rows) - 2)
     values = rows[low] + (inside - low)[:, None] * (rows[low + 1] - rows[low])
-    values[(place < 0.0) | (place > len(rows) - 1), 4:] = 0.0
+    values[(place < -ON_GRID) | (place > len(rows) - 1 + ON_GRID), 4:] = 0.0
     return NodeMotion(values[:, :4], values[:, 4:8], values[:, 8:])
 
 

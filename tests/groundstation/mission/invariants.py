@@ -7,6 +7,7 @@ and what people asked for from the people, never from the station's view of eith
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from groundstation.mission.state_machine import (
 )
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import preflight
+from shoal.frames import Array
 from shoal.messages.messages import ALONE, CommandKind, Mode, Outcome, Progress
 from tests.groundstation.mission.simulated_fleet import STEP_NS, SimulatedFleet, SimulatedRobot, armed
 
@@ -50,8 +52,24 @@ RESTS = frozenset(
 )  # after these none is armed, until another request
 ON_ITS_WAY_S = 1.5  # a command to a robot that has been restarted since it was sent
 BEHIND_S = 1.0  # of the progress, after the slowest robot
+SIGHT_S = 1.0  # after which a robot that was blind, or had foreign poses, counts as well: late radio
+FORM_M = 0.02  # of a place in the formation
 LATE_S = 0.5  # beside the time after which a robot without its station holds by itself: late radio, and a cycle of each
 TRAVELS = frozenset({CommandKind.GO, CommandKind.RETURN, CommandKind.REJOIN, CommandKind.START})
+
+
+def offsets_asked_for(form: str, slots_m: Sequence[Array]) -> Array:
+    """Places (n, 2) of one slot from another in a form that is asked for, in m; either may be the one. `slots_m`: before."""
+    words = form.split()
+    values = dict(pairwise(words))  # of each word the one behind it
+    offsets_m = np.array([b - a for a, b in combinations(slots_m, 2)])
+    if words[0] in ("line", "column"):
+        spacing_m = float(values[words[0]]) * np.arange(1.0, len(slots_m))
+        offsets_m = np.outer(spacing_m, [1.0, 0.0] if words[0] == "line" else [0.0, 1.0])
+    angle_rad = np.radians(float(values.get("turn", 0.0)))
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    turned: Array = float(values.get("scale", 1.0)) * offsets_m @ np.array([[cos, sin], [-sin, cos]])
+    return turned
 
 
 @dataclass
@@ -63,7 +81,8 @@ class _Followed:
     only: int
     since_ns: int
     flown: dict[int, str]  # by robot: the trajectory that it had
-    path: str = ""  # name of another experiment
+    text: str = ""  # of a PATH the name of its experiment, of a FORMATION the form
+    offsets_m: Array = field(default_factory=lambda: np.zeros((0, 2)))  # of one slot from another, as asked for
     alone: bool = True  # nobody has asked for anything since
     was_driven: bool = False  # the robot has followed a DRIVE since
     waited_s: float = 0.0
@@ -100,6 +119,9 @@ class Invariants:
     flight: int = 0  # number of the path and run that the laps are of
     paused_s: float = 0.0
     waiting_gains_s: float = 0.0
+    homeward: bool = False  # people have asked for a return from rest, and for no other path since
+    has_flown: bool = False  # a flight that is not the way home, since the last start
+    flight_ended: MissionState | None = None  # how that flight did
     violated: bool = False
 
     def __post_init__(self) -> None:
@@ -108,13 +130,22 @@ class Invariants:
         self.pool.on_cycle = self.check
 
     def begin(
-        self, number: int, order: CommandKind, only: int = 0, place_m: tuple[float, float] | None = None, path: str = ""
+        self, number: int, order: CommandKind, only: int = 0, place_m: tuple[float, float] | None = None, text: str = ""
     ) -> None:
         """Follow a request that was taken."""
         for other in self.followed.values():
             other.alone = other.alone and bool(only and other.only and only != other.only)
         flown = {robot.id: robot.clock.id for robot in self.pool.robots.values()}
-        self.followed.setdefault(number, _Followed(order, place_m, only, self.pool.now_ns, flown, path))
+        self.followed.setdefault(number, _Followed(order, place_m, only, self.pool.now_ns, flown, text))
+        if order is CommandKind.FORMATION:
+            ends = [trajectory.eta[-1, :2] for trajectory in self.pool.mission.segment.trajectories.values()]
+            self.followed[number].offsets_m = offsets_asked_for(text, ends)
+        if order is CommandKind.RETURN and self.state in AT_REST:
+            self.homeward = True
+        elif order is CommandKind.PATH:
+            self.homeward = False
+        if order is CommandKind.PATH:
+            self.has_flown = False
         ends_a_run = self.pool.mission.state is MissionState.ENDING
         if order in WATER:
             self.out = self.out | {only} if order is CommandKind.OUT else self.out - {only}
@@ -151,6 +182,8 @@ class Invariants:
         self.a_stop_reaches_every_robot()
         self.progress_is_the_formations()
         self.laps_are_the_formations()
+        self.the_way_home_is_flown_alone()
+        self.the_verdict_is_of_the_flight()
         self.outcomes_are_true()
         self.requests_end()
         self.every_state_has_a_way_out()
@@ -338,6 +371,27 @@ class Invariants:
             assert lost_s <= most_s, f"LAPS: the table loses {lost_s:.2f} s of {self.lap_s:.2f} s flown"
         self.lap_s = lap_s
 
+    def the_way_home_is_flown_alone(self) -> None:
+        """After a RETURN from rest robots fly nowhere but home, until somebody asks for another path."""
+        mission = self.pool.mission
+        self.homeward = self.homeward and mission.state not in AT_REST
+        astray = self.homeward and mission.state in IN_FLIGHT and not mission.segment.is_return
+        assert not astray, f"HOME: {mission.state.name} on the path, and the last request was RETURN"
+
+    def the_verdict_is_of_the_flight(self) -> None:
+        """A session is judged by how its last flight ended, and by no way home, test or cleared stop after that."""
+        mission = self.pool.mission
+        if mission.state is MissionState.LOADING:
+            self.has_flown = False
+        if mission.state in NOMINAL and not mission.segment.is_return:
+            self.has_flown, self.flight_ended = True, None
+        elif mission.state in AT_REST - {MissionState.WAITING} and self.flight_ended is None:
+            self.flight_ended = mission.state
+        if self.has_flown:
+            verdict = mission.verdict.name if mission.verdict is not None else "none"
+            ended = self.flight_ended.name if self.flight_ended is not None else "none"
+            assert verdict == ended, f"VERDICT: {verdict}, but the flight ended as {ended}"
+
     def outcomes_are_true(self) -> None:
         """A request that is done was done by the robots, and what was left in motion is not called held."""
         outcomes = self.pool.core.requests.recent
@@ -364,6 +418,10 @@ class Invariants:
         followed, robots = self.followed[outcome.request], list(self.pool.robots.values())
         if outcome.order is CommandKind.STOP:
             return "all have stopped" if all(self._stays(r, Mode.STOPPED) for r in robots) else ""
+        if outcome.order is CommandKind.FORMATION:
+            # robots that rest set out for their new places, and these are as far from the old ones all the way
+            needless = "no way from here" in outcome.reason and any(each in outcome.reason for each in ("limit", "at once"))
+            return "a form taken at rest asks for no other motion" if needless else ""
         modes = CONFIRMS.get(CommandKind.HOLD if outcome.order is CommandKind.DRIVE else outcome.order)
         if not followed.only or not followed.alone or modes is None:
             return ""
@@ -404,11 +462,13 @@ class Invariants:
             return "; ".join(f"robot {r.id} has passed none" for r in active if r.passed_ns <= followed.since_ns)
         if order in (CommandKind.START, CommandKind.RESUME):
             return self._never(active, Mode.TRACKING)
-        if order is CommandKind.PATH and (other := self.pool.mission.plans.flown.name) != followed.path:
+        if order is CommandKind.PATH and (other := self.pool.mission.plans.flown.name) != followed.text:
             return f"the path is that of {other}"
-        if order is CommandKind.PATH and self.pool.mission.state in AT_REST:
+        if order is CommandKind.FORMATION and (elsewhere := self._not_in_form(followed, active)):
+            return elsewhere
+        if order in (CommandKind.PATH, CommandKind.FORMATION) and self.pool.mission.state in AT_REST:
             return ""
-        if order in (CommandKind.GO, CommandKind.REJOIN, CommandKind.PATH):
+        if order in (CommandKind.GO, CommandKind.REJOIN, CommandKind.PATH, CommandKind.FORMATION):
             same = [r for r in active if all(flown == followed.flown[r.id] for flown in self.ids[r.id])]
             return self._never(active, Mode.TRACKING) or "; ".join(f"robot {r.id} has its old path" for r in same)
         if order is CommandKind.RETURN:
@@ -423,6 +483,19 @@ class Invariants:
             ids = {r.tuning_id for r in active}
             return f"gains differ: {sorted(ids)}" if len(ids) > 1 else ""
         raise AssertionError(f"{order.name}: no truth is known of it")
+
+    def _not_in_form(self, followed: _Followed, active: Sequence[SimulatedRobot]) -> str:
+        """Two robots that end elsewhere beside one another than the form says; at rest by the plan for the next start."""
+        planned = self.pool.mission.roster.trajectories(self.pool.mission.segment)
+        rests = self.pool.mission.state in AT_REST
+        flown = {r.id: planned[r.id] if rests else r.clock.trajectory for r in active if r.id in planned}
+        ends_m = {robot: trajectory.eta[-1, :2] for robot, trajectory in flown.items() if trajectory is not None}
+        for a, b in combinations(ends_m, 2):
+            offset_m = ends_m[b] - ends_m[a]
+            off_m = np.linalg.norm(np.vstack([followed.offsets_m - offset_m, followed.offsets_m + offset_m]), axis=1)
+            if off_m.min() > FORM_M:
+                return f"in {followed.text!r} robot {b} ends at {offset_m.round(2)} m from robot {a}"
+        return ""
 
     def _never(self, robots: Sequence[SimulatedRobot], *modes: Mode) -> str:
         return "; ".join(f"robot {r.id} is {r.mode.name}" for r in robots if not any(m in modes for m in self.modes[r.id]))
@@ -472,6 +545,7 @@ class Invariants:
         if mission.state in (MissionState.FAILED, MissionState.CANCELLED):
             assert mission.reason, f"REASON: {mission.state.name} without one"
         fit = [r for r in mission.roster.lost if r not in self.out and self.in_reach_s(r) > 1.0 and self._fit(r)]
+        fit = fit if all(self._sees(r) for r in mission.roster.active) else []  # the others are to fly on
         if fit and mission.state in NOMINAL | {MissionState.PAUSED} and not mission.segment.is_return:
             refused = mission.objection(CommandKind.REJOIN, fleet)
             assert not refused, f"WAY OUT: robot {fit[0]} is fit, but REJOIN: {refused}"
@@ -485,6 +559,12 @@ class Invariants:
         self.waiting_gains_s = self.waiting_gains_s + STEP_NS * 1e-9 if waits else 0.0
         limit_s = getattr(mission.plans.flown.path, "lap_s", 0.0) + OVER_WITHIN_S
         assert self.waiting_gains_s <= limit_s, f"WAY OUT: gains are {self.pool.core.tuner.status().stage.value} for ever"
+
+    def _sees(self, robot: int) -> bool:
+        """True if a robot in reach has known for a while where it is, and what is in its way."""
+        body = self.pool.robots[robot]
+        since_s = (self.pool.now_ns - max(body.blind_until_ns, body.foreign_until_ns)) * 1e-9
+        return min(since_s, self.in_reach_s(robot)) > SIGHT_S
 
     def _fit(self, robot: int) -> bool:
         view = self.pool.fleet[robot]

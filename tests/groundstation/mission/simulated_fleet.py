@@ -97,6 +97,8 @@ class SimulatedRobot:
     def __init__(self, experiment: Experiment, robot: int, eta: Array) -> None:
         self.id, self.eta, self.radio = robot, np.array(eta), Radio()
         self.alive, self.board_works, self.unseen_until_ns, self.speed_mps = True, True, 0, SPEED_MPS
+        self.blind_until_ns = 0  # it cannot tell before whether obstacles are there
+        self.foreign_until_ns = 0  # two programs publish its poses before
         self.passed_ns = 0  # when it last passed a thruster test
         self._experiment, self._start_tuning = experiment, tuning(experiment.controller).id
         self.restart(0)
@@ -189,7 +191,7 @@ class SimulatedRobot:
         adoption = self._adoption
         if adoption is not None and now_ns >= adoption.at_ns and self.clock.reached_s >= adoption.trajectory_s:
             self.tuning_id, self._ready, self._adoption = adoption.id, "", None
-        return self._state()
+        return self._state(now_ns)
 
     def _goal(self, station: StationView, now_ns: int) -> Array:
         """Reference pose (4,) in the present mode."""
@@ -213,7 +215,7 @@ class SimulatedRobot:
         self.eta = np.array([*(before[:3] + share * away), self._reference[3]])
         self._speed_mps = share * far_m / STEP_S
 
-    def _state(self) -> RobotState:
+    def _state(self, now_ns: int) -> RobotState:
         return reported_state(
             self._experiment,
             self.mode,
@@ -226,6 +228,7 @@ class SimulatedRobot:
             trajectory_id=self.clock.id,
             thruster_test=self.test,
             control=Control(eta_reference=self._reference),
+            blind="no sightings" if now_ns < self.blind_until_ns else "",
         )
 
 
@@ -382,7 +385,9 @@ class SimulatedFleet:
                 self._newest[robot] = stamp_ns, state
             if robot in self._newest:
                 stamp_ns, state = self._newest[robot]
-                view = RobotView(state, (self.now_ns - stamp_ns) * 1e-9, POSE, 0.02, 0.02)
+                foreign = self.now_ns < self.robots[robot].foreign_until_ns
+                age_s = (self.now_ns - stamp_ns) * 1e-9
+                view = RobotView(state, age_s, POSE, 0.02, 0.02, two_pose_senders=foreign)
                 views[robot] = self.core.view(robot, view, self.now_ns)
             else:
                 views[robot] = self.core.view(robot, RobotView(), self.now_ns)

@@ -50,6 +50,7 @@ PLACES_M = ((0.0, 1.9), (2.6, 1.6), (-2.6, -1.6), (2.4, -1.2))
 MIDDLES_M = ((0.8, 0.4), (-0.8, 0.4), (1.4, -0.6), (-1.2, -0.8))  # for the formation's centre
 OUTAGES_S = (0.1, 0.4, 1.0, 2.5, 5.0, 20.0)
 OTHER_PATHS = {"beside": "[0.4,-0.6],[1.4,-0.6],[1.4,0.0]", "above": "[-0.6,0.8],[0.9,0.8]"}
+FORMS = ("line 0.8", "column 0.9", "column 1.2 over 5", "line 0.7 turn 45", "scale 1.3", "turn 90", "order 2,1", "order 3,1,2")
 ENDS = (CommandKind.DISARM, CommandKind.END, CommandKind.STOP)
 FLEET_ORDERS = [order_named(name) for name in FLEET_REQUESTS]
 BETWEEN_NS = 17_000_000  # a request comes so much later within its cycle than the one before
@@ -106,18 +107,19 @@ class Interruptions(RuleBasedStateMachine):
         """Count a request, a mishap or a wait."""
         self.figures["steps"] += 1
 
-    def ask(self, who: str, order: CommandKind, robot: int, place_m: tuple[float, float] | None = None, path: str = "") -> str:
-        """A request of `who`; `path`: name of another experiment. Returns the reason of a refusal."""
+    def ask(self, who: str, order: CommandKind, robot: int, place_m: tuple[float, float] | None = None, text: str = "") -> str:
+        """A request of `who`; `text`: of a PATH the name of its experiment, of a FORMATION the form. Returns the reason of a
+        refusal."""
         pool = self.pool
         before = pool.mission.state
         self.requests += 1
         now_ns = pool.now_ns + self.requests * BETWEEN_NS % STEP_NS  # people do not wait for a cycle
-        text = another_path(len(self.ids), path) if path else ""
-        refused, number = pool.core.request(order, pool.seen_at(now_ns), now_ns, (place_m,) if place_m else (), robot, text)
+        sent = another_path(len(self.ids), text) if order is CommandKind.PATH else text
+        refused, number = pool.core.request(order, pool.seen_at(now_ns), now_ns, (place_m,) if place_m else (), robot, sent)
         assert bool(number) is not bool(refused), f"ANSWER: {order.name} of {who}: number {number}, {refused!r}"
         assert not refused or order is not CommandKind.STOP, f"STOP: refused in {before.name}: {refused}"
         if number:
-            self.watched.begin(number, order, robot, place_m, path)
+            self.watched.begin(number, order, robot, place_m, text)
         if number and before in TERMINAL | {MissionState.WAITING}:
             self.watched.begin_run()
         return refused
@@ -203,7 +205,39 @@ class Interruptions(RuleBasedStateMachine):
         if holds:
             self.ask(who, CommandKind.HOLD, 0)
             self.pool.run(3.0)
-        self.ask(who, CommandKind.PATH, 0, path=path)
+        self.ask(who, CommandKind.PATH, 0, text=path)
+
+    @rule(who=st.sampled_from(PEOPLE), form=st.sampled_from(FORMS), holds=st.booleans())
+    def take_form(self, who: str, form: str, holds: bool) -> None:
+        """Another form: in flight, from a hold, or at rest for the next start."""
+        if holds:
+            self.ask(who, CommandKind.HOLD, 0)
+            self.pool.run(3.0)
+        self.ask(who, CommandKind.FORMATION, 0, text=form)
+
+    @rule(who=st.sampled_from(PEOPLE), forms=st.tuples(*2 * [st.sampled_from(FORMS)]), seconds=st.sampled_from((1.5, 5.0)))
+    def take_forms(self, who: str, forms: tuple[str, str], seconds: float) -> None:
+        """A form from a hold, and another from a hold on the way into it."""
+        for form in forms:
+            self.take_form(who, form, True)
+            self.pool.run(seconds)
+
+    @rule(who=st.sampled_from(PEOPLE), form=st.sampled_from(FORMS), k=st.integers(0, 2))
+    def take_form_without_one(self, who: str, form: str, k: int) -> None:
+        """A form from a hold; and a robot dies once that is planned."""
+        self.take_form(who, form, True)
+        self.pool.run(1e-9 * self.pool.planning_ns + 0.2)
+        self.die(k)
+        self.pool.run(12.0)
+
+    @rule(who=st.sampled_from(PEOPLE), form=st.sampled_from(FORMS))
+    def take_form_on_the_way_home(self, who: str, form: str) -> None:
+        """A return that is held before it has its plan, and a form."""
+        for k in range(len(self.ids)):
+            self.arm_one(who, k)
+        self.ask(who, CommandKind.RETURN, 0)
+        self.pool.run(0.2)
+        self.take_form(who, form, True)
 
     @rule(
         who=st.sampled_from(PEOPLE),
@@ -323,6 +357,16 @@ class Interruptions(RuleBasedStateMachine):
         """A robot that is not seen holds by itself."""
         self.pool.robots[self.ids[k % len(self.ids)]].unseen_until_ns = self.pool.now_ns + round(seconds * 1e9)
 
+    @rule(k=st.integers(0, 2), seconds=st.sampled_from((0.1, 1.0, 8.0)))
+    def blind(self, k: int, seconds: float) -> None:
+        """A robot cannot tell whether obstacles are there."""
+        self.pool.robots[self.ids[k % len(self.ids)]].blind_until_ns = self.pool.now_ns + round(seconds * 1e9)
+
+    @rule(k=st.integers(0, 2), seconds=st.sampled_from((0.1, 1.0, 8.0)))
+    def send_foreign_poses(self, k: int, seconds: float) -> None:
+        """Two programs publish a robot's poses."""
+        self.pool.robots[self.ids[k % len(self.ids)]].foreign_until_ns = self.pool.now_ns + round(seconds * 1e9)
+
     @rule(k=st.integers(0, 2), speed_mps=st.sampled_from((0.05, SPEED_MPS)))
     def weaken(self, k: int, speed_mps: float) -> None:
         """A robot that does not keep up with its path."""
@@ -370,6 +414,8 @@ class Interruptions(RuleBasedStateMachine):
             if not robot.alive:
                 robot.restart(self.pool.now_ns)
             robot.radio.deaf_until_ns = robot.radio.mute_until_ns = 0
+            robot.blind_until_ns = min(robot.blind_until_ns, self.pool.now_ns)
+            robot.foreign_until_ns = min(robot.foreign_until_ns, self.pool.now_ns)
             robot.radio.delay_ns, robot.board_works, robot.speed_mps = 20_000_000, True, SPEED_MPS
 
     def leave(self) -> None:

@@ -40,6 +40,18 @@ def clearance(segment: PlanSegment, thing: Array, from_s: float) -> float:
     return min(nearest)
 
 
+@pytest.mark.parametrize("begin_s", [0.0, 5.3, 15.6, 19.35, 40.1])
+def test_a_trajectory_has_its_velocity_up_to_its_last_sample_wherever_it_begins(begin_s: float) -> None:
+    """The last instant may come out behind the end by rounding: a robot that turns would stop at once there."""
+    rows = np.ones((1257, 4))
+    flown = Trajectory("a", PERIOD_S, rows, rows, rows, begin_s)
+    for from_s in (begin_s, begin_s + 14.05):
+        left = len(rows) - round((from_s - begin_s) / PERIOD_S)
+        motion = sample(flown, from_s + PERIOD_S * np.arange(left, dtype=np.float64))
+        assert np.all(motion.velocity == 1.0) and np.all(motion.acceleration == 1.0)
+    assert not sample(flown, np.array([begin_s - 0.01, begin_s + PERIOD_S * len(rows)])).velocity.any()
+
+
 def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
     segment = first_segment(BLOCKED)
     new = replan(BLOCKED, segment, 14.0, BALL)
