@@ -480,7 +480,8 @@ class Invariants:
             wrong = (followed.only in self.pool.mission.roster.out) is not (order is CommandKind.OUT)
             return f"robot {followed.only} is counted otherwise" if wrong and followed.alone else ""
         if order is CommandKind.TUNE:
-            ids = {r.tuning_id for r in active}
+            # a stopped robot takes no gains, and the request's outcome names it
+            ids = {r.tuning_id for r in active if r.mode is not Mode.STOPPED or r.id not in outcome.waiting}
             return f"gains differ: {sorted(ids)}" if len(ids) > 1 else ""
         raise AssertionError(f"{order.name}: no truth is known of it")
 
