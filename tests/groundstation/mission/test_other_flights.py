@@ -323,13 +323,19 @@ def test_a_draft_begins_where_the_robots_are(fleet: SimulatedFleet) -> None:
     assert fleet.mission.state is MissionState.PAUSED and newest(fleet)[0] is Progress.DONE  # nobody was asked to fly it
 
 
-def test_the_way_into_place_after_a_hold_belongs_to_the_lap_that_is_flown_on() -> None:
+def on_laps(progress_s: float) -> SimulatedFleet:
+    """Two robots so far along their laps, of 20 s each."""
     fleet = SimulatedFleet(an_experiment("go-on", TWO, LAPS, 100))
     fleet.run(1.0)
     assert ask(fleet, CommandKind.START) == ""
     until(fleet, MissionState.RUNNING, 10.0)
-    while fleet.mission.plans.progress_s < 40.5:  # a lap has 20 s
+    while fleet.mission.plans.progress_s < progress_s:
         fleet.step()
+    return fleet
+
+
+def test_the_way_into_place_after_a_hold_belongs_to_the_lap_that_is_flown_on() -> None:
+    fleet = on_laps(40.5)
     assert ask(fleet, CommandKind.HOLD) == ""
     fleet.run(3.0)
     before = {lap.number: lap.time_s for lap in fleet.core.laps.laps()}
@@ -346,12 +352,7 @@ def test_the_way_into_place_after_a_hold_belongs_to_the_lap_that_is_flown_on() -
 @pytest.mark.parametrize("moves", [False, True])
 def test_gains_for_the_next_lap_are_not_taken_on_the_way_into_place(moves: bool) -> None:
     """A plan from a hold moves the lap; a hold that robots go on from does not."""
-    fleet = SimulatedFleet(an_experiment("go-on", TWO, LAPS, 100))
-    fleet.run(1.0)
-    assert ask(fleet, CommandKind.START) == ""
-    until(fleet, MissionState.RUNNING, 10.0)
-    while fleet.mission.plans.progress_s < 45.0:  # a lap has 20 s
-        fleet.step()
+    fleet = on_laps(45.0)
     before = {robot: body.tuning_id for robot, body in fleet.robots.items()}
     _, number = fleet.core.request_gains({"controller.nmpc.turning_m": 0.02}, True, fleet.fleet, fleet.now_ns)
     fleet.run(2.0)
